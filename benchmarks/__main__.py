@@ -85,8 +85,8 @@ RUN_OPTION = of(
     "that its training kept for tests, and its masks and its boxes are two more cases.",
 )
 FOLDER = of("--out", type=Path, metavar="FOLDER", help="A new folder for BOP results and pictures.")
-# Commands that print what the function `measure` of their module returns; the options are its
-# arguments.
+# Each command calls the function `measure` of its module, with its options as arguments, and
+# prints the result.
 FIGURES: dict[str, tuple[str, list[Option]]] = {
     "agree": (
         "Compare Cycles' pictures with Mitsuba's: docs/measurements/renderers.md.",
@@ -311,7 +311,7 @@ def run_page(args: argparse.Namespace) -> int:
 
 
 def write(sections: Iterable[tuple[str, str]], out: Path | None) -> int:
-    """Write a page of headings and texts as they are measured, or print it."""
+    """Write a page section by section as it is measured, or print it."""
     texts = []
     for number, (heading, text) in enumerate(sections):
         show(f"{heading} is measured")
@@ -402,7 +402,7 @@ def run_compare(args: argparse.Namespace) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        return 130  # the other tree is gone, and its process with it
+        return 130  # the other tree and its process have ended
     show("")
     rows = summarise(records)
     print(table(rows))
@@ -414,5 +414,5 @@ def run_compare(args: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout` ends it like Ctrl-C
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout` stops it as Ctrl-C does
     sys.exit(main())

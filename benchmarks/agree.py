@@ -28,14 +28,14 @@ from .figures import Figures, Show
 
 SCENES, SIZE_PX = 5, (172, 130)
 EACH = 3  # parts of each material in a scene
-FIRST_FACTOR = 8  # of the second's samples that the first takes
-FEWER_SEED = 10_000  # away from the scenes' own
-BOX = "bin"  # the class of whatever is no part
-LIT_SHARE = 0.02  # as a share of the 99th percentile: enough light for a ratio
+FIRST_FACTOR = 8  # the first takes this many times the second's samples
+FEWER_SEED = 10_000  # far from the seeds of the scenes
+BOX = "bin"  # the class of pixels without a part
+LIT_SHARE = 0.02  # of the 99th percentile: enough light for a ratio
 RATIO_EDGES = np.linspace(0.8, 1.2, 81)
 COLUMN_EDGES = np.linspace(-1.0, 1.0, 81)
 
-# What counts as agreement: of the medians of the white frame's ratio, and of decoded depth.
+# Limits of agreement: medians of the ratio of the white frames, and of decoded depth.
 MEDIAN_RATIO = {"diffuse": (0.98, 1.02), "metal": (0.95, 1.05), "plastic": (0.95, 1.05)}
 MEDIAN_COLUMNS = 0.25
 VALID_ALIKE_SHARE = 0.97
@@ -43,7 +43,7 @@ VALID_ALIKE_SHARE = 0.97
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """One scene by one renderer, and its scan."""
+    """A scene rendered by one renderer, and its scan."""
 
     rendering: Rendering
     scan: Scan
@@ -127,7 +127,7 @@ def _pair(
 
 
 def compare(pairs: Sequence[Pair], names: tuple[str, ...]) -> Figures:
-    """The figures of pairs of views; `names` are those of the parts' classes."""
+    """Return the figures of pairs of views; `names` are the names of the parts' classes."""
     rows, histograms = [], {"ratio_edges": RATIO_EDGES.tolist()}
     for light in ("white", "ambient"):
         for index, name in enumerate((*names, BOX)):
@@ -147,7 +147,7 @@ def compare(pairs: Sequence[Pair], names: tuple[str, ...]) -> Figures:
 def _lit(
     pairs: Sequence[Pair], light: str, kind: int
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The light of both renderers on the pixels of a class whose mean light is sufficient.
+    """Return the light of both renderers on the pixels of a class with enough light on average.
 
     A selection by the picture of one renderer would be biased by its noise.
     """
@@ -166,7 +166,7 @@ def _lit(
 
 def _ratios(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Figures:
     with np.errstate(divide="ignore"):
-        # No interpolation, which between infinite ratios (no light at all) has no value.
+        # Interpolation between infinite ratios (no light at all) would give NaN.
         low, median, high = np.percentile(other / one, [5, 50, 95], method="inverted_cdf")
     return {
         "pixels": len(one),
@@ -178,7 +178,7 @@ def _ratios(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Fig
 
 
 def _depth(pairs: Sequence[Pair]) -> tuple[Figures, Float[np.ndarray, " n"]]:
-    """The second renderer's decoded depth minus the first's, and the differences in columns."""
+    """Compare decoded depth, second minus first; also return the differences in columns."""
     columns, depth_mm, alike, only = [], [], [], {"first": 0, "second": 0}
     for pair in pairs:
         one, other = pair.first.scan, pair.second.scan
@@ -208,7 +208,7 @@ def _depth(pairs: Sequence[Pair]) -> tuple[Figures, Float[np.ndarray, " n"]]:
 
 
 def _truth(pairs: Sequence[Pair]) -> Figures:
-    """Ground truth of both: ids, depth and normals where the ids are the same."""
+    """Compare the ground truth of both: ids, and depth and normals where the ids agree."""
     same, depth_m, cosine = [], [], []
     for pair in pairs:
         one, other = pair.first.rendering.truth, pair.second.rendering.truth

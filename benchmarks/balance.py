@@ -1,9 +1,9 @@
 """A check by another physics engine, MuJoCo, whether a layout is in balance.
 
-MuJoCo shares no code with the drop's engine: other contacts, another cone of friction, another
-integrator. It takes the collision hulls and the distance that they keep, starts from rest, damps
-nothing and steps by 0.5 ms. A part that only numerical effects of the drop kept in place
-slides, rolls or falls.
+MuJoCo shares no code with the drop's engine: contacts, friction cone and integrator differ. It
+uses the same collision hulls with the same margins, starts from rest, has no damping and steps by
+0.5 ms. A part that stays in place only because of numerical effects of the drop slides, rolls or
+falls here.
 
 Contacts are as stiff as the step allows: under its weight a part sinks by about a micrometre.
 A bin that is a mesh is not supported.
@@ -19,8 +19,8 @@ from graycast.world.scene import Bin, Layout
 
 STEP_S = 0.0005
 WALL_M = 0.15
-MEMORY_BYTES = 2**30  # reserved; 255 parts of many hulls touch in thousands of points
-# Time constant [s] and damping ratio of a contact, and how much of it is constraint: see MuJoCo's
+MEMORY_BYTES = 2**30  # 255 parts of many hulls touch in thousands of points
+# MuJoCo's `solref` (time constant [s] and damping ratio of a contact) and `solimp`: see its
 # documentation of solver parameters.
 STIFFNESS = (0.002, 1.0)
 IMPEDANCE = (0.99, 0.999, 1e-4, 0.5, 2.0)
@@ -66,11 +66,11 @@ def _spec(box: Bin, bodies: tuple[Body, ...], layout: Layout):
     spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.impratio = 10  # friction as stiff as this many times the normal force
+    spec.option.impratio = 10  # stiffness of friction over that of the normal force
     spec.option.noslip_iterations = 20
-    # MuJoCo's newer collision of convex shapes gives one or two points where a face lies on a face
-    # or an edge along a wall, if they are a hair apart as all of a drop is: boxes that lie flat
-    # then rock. The older one, libccd, finds the corners of the contact.
+    # MuJoCo's newer collision of convex shapes returns one or two contact points of two faces, or
+    # of an edge along a wall, if a small gap is left, as after each drop: flat boxes then rock.
+    # The older collision, libccd, finds all corners of the contact.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
     spec.option.iterations = 200
     spec.option.tolerance = 1e-10
@@ -124,7 +124,7 @@ def _add_part(spec, name: str, body: Body, T: Float[np.ndarray, "4 4"], kind: in
             meshname=f"{kind} {piece}",
             friction=[body.friction, 0.0, 0.0],
             condim=3,
-            margin=SKIN_M,  # contact begins where the margins of both add up to
+            margin=SKIN_M,  # a contact begins at the sum of both margins
             solref=STIFFNESS,
             solimp=IMPEDANCE,
         )

@@ -1,7 +1,7 @@
-"""Light that comes by shiny parts: its noise with and without paths from the projector, and cost.
+"""Light reflected by shiny parts: noise and cost with and without paths from the projector.
 
 Fifteen polished brackets lie in the wooden box under white light. Each roughness is rendered with
-both kinds of path and with those from the camera alone, with some seeds and the same samples.
+paths from camera and projector and with paths from the camera alone, at the same seeds and samples.
 """
 
 import time
@@ -27,21 +27,21 @@ from .stages import cell_of
 PARTS, SAMPLES, SEEDS = 15, 16, (0, 1)
 ROUGHNESS = (0.05, 0.1, 0.2, 0.35, 0.5)
 BASE = 0.7
-FIREFLY, WINDOW_PX = 3.0, 7  # A firefly is above three times the median of its 7 x 7 pixels.
+FIREFLY, WINDOW_PX = 3.0, 7  # A firefly exceeds three times the median of 7 x 7 pixels.
 MATT = "matt"
-CROP = np.s_[70:320, 110:410]  # of the picture in small resolution: the bin's floor
+CROP = np.s_[70:320, 110:410]  # the bin's floor in a picture of small resolution
 
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """White pictures of one scene, and the processor time of one with its patterns."""
+    """White pictures of one scene, and the processor time of one rendering with all patterns."""
 
     white: Float[np.ndarray, "seeds h w"]
     seconds: float
 
 
 def rows() -> Iterator[Figures]:
-    """Of each roughness the figures of the table, the matt parts first."""
+    """Yield the figures of each roughness, matt parts first."""
     cell = cell_of({"count": PARTS, "rig": "paper"})
     layout = drop(cell.scene, (PARTS,), seed=1, limits=DropLimits())
     with open_renderer("mitsuba") as renderer:
@@ -88,7 +88,7 @@ def draw(file: Path, samples: int) -> None:
 
 
 def fireflies(white: Float[np.ndarray, "h w"], pixels: Bool[np.ndarray, "h w"]) -> float:
-    """The share of the pixels' light that fireflies have beyond their neighbours' median."""
+    """Return the share of the light by which fireflies exceed their neighbours' median."""
     median = median_filter(white, WINDOW_PX)
     bright = pixels & (white > FIREFLY * median) & (median > 0)
     return float((white - median)[bright].sum() / white[pixels].sum())

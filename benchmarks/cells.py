@@ -24,11 +24,11 @@ QUIET_SENSOR = SensorSpec(
     full_well_e=1e9, gain_dn_per_e=6.5e-5, read_noise_e=0.0, dark_current_e_s=0.0, bit_depth=16
 )
 
-GRAY = CodeSpec(codec="gray", axes=("column",))  # the paper's, along the baseline
+GRAY = CodeSpec(codec="gray", axes=("column",))  # the paper's code, along the baseline
 PHASE = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
 PHASE_BOTH = replace(PHASE, axes=("column", "row"))  # 24 frames of 1024 x 768
 
-# One bracket in three materials: what differs between the classes is the material alone.
+# One bracket in three materials, so that the classes differ in the material alone.
 MATERIALS = {
     "diffuse": Material(base_color=(0.5, 0.5, 0.5), specular=0.0),
     "metal": Material(base_color=(0.22, 0.22, 0.225), metallic=1.0, roughness=0.5),
@@ -39,13 +39,13 @@ SMALL_BIN_M = (0.18, 0.13, 0.06)
 
 @contextmanager
 def opened(*patterns_per_render: int) -> Iterator[tuple[Renderer, ...]]:
-    """Mitsuba, and a Cycles for each number of patterns per render, on the GPU if there is one.
+    """Open Mitsuba, and Cycles once for each number of patterns per render, on a GPU if present.
 
     Raises:
-        DeviceError: Cycles is not there.
+        DeviceError: Cycles is not installed.
     """
     with ExitStack() as stack:
-        # Cycles first: where it is missing nothing needs to be waited for.
+        # Cycles is first: if it is missing, the error comes without a wait.
         cycles = [
             stack.enter_context(open_renderer("cycles", patterns_per_render=number))
             for number in patterns_per_render
@@ -56,16 +56,16 @@ def opened(*patterns_per_render: int) -> Iterator[tuple[Renderer, ...]]:
 def bracket_cell(
     count: int, code: CodeSpec, size_px: tuple[int, int], *, rig: str = "like-phoxi-m"
 ) -> Cell:
-    """The paper's metal brackets before a rig; `size_px` as in `cropped`.
+    """Return a cell of the paper's metal brackets in front of a rig; `size_px` as in `cropped`.
 
-    'like-phoxi-m' shines in one line, so that Cycles may put three patterns into a render; 'paper'
-    is the same rig in white.
+    'like-phoxi-m' has light of one wavelength, so Cycles may render three patterns at once; 'paper'
+    has white light.
     """
     return _before(rig, cell_of({"count": count}), code, size_px)
 
 
 def materials_cell(size_px: tuple[int, int]) -> Cell:
-    """Brackets of three materials in a small wooden box before a PhoXi M, phase code."""
+    """Return a cell of brackets of three materials in a small box, PhoXi M, phase code."""
     cell = cell_of({"bin": {"inner_m": SMALL_BIN_M}})
     bracket = cell.scene.parts[0]
     parts = tuple(replace(bracket, name=n, material=m) for n, m in MATERIALS.items())
@@ -74,13 +74,13 @@ def materials_cell(size_px: tuple[int, int]) -> Cell:
 
 
 def dropped(cell: Cell, each: int, *, seed: int) -> Layout:
-    """A layout at rest with the given number of each kind of part."""
+    """Return a layout at rest with the given number of each kind of part."""
     counts = (each,) * len(cell.scene.parts)
     return drop(cell.scene, counts, seed=seed, limits=DropLimits())
 
 
 def cropped(camera: Optics, size_px: tuple[int, int]) -> Optics:
-    """The middle of a camera's picture, pixel for pixel: the same rays, fewer of them.
+    """Return a camera that has only the central pixels of another, with the same rays.
 
     Raises:
         ValueError: the crop is larger than the picture.
@@ -103,7 +103,7 @@ def cropped(camera: Optics, size_px: tuple[int, int]) -> Optics:
 
 
 def exposed_alike(scanner: Scanner, radiance: Radiance) -> Scanner:
-    """The scanner with its automatic exposure for these pictures as a fixed exposure."""
+    """Return the scanner with its automatic exposure for these pictures as a fixed exposure."""
     rule = scanner.exposure
     time_s = auto_exposure_s(
         radiance.white + radiance.ambient,
@@ -115,7 +115,7 @@ def exposed_alike(scanner: Scanner, radiance: Radiance) -> Scanner:
 
 
 def _before(name: str, cell: Cell, code: CodeSpec, size_px: tuple[int, int]) -> Cell:
-    """Sharp lenses, which both back ends have, and a sensor without noise."""
+    """Return a cell with sharp lenses, which both back ends support, and a sensor without noise."""
     rig = preset_rig(name, "low")
     rig = replace(rig, camera=cropped(rig.camera, size_px))
     decode = DecodeSpec(max_epipolar_px=0.0)

@@ -24,7 +24,7 @@ REFERENCE_SEED = 10_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """A scene, a renderer's converged pictures of it, and the depth decoded from them."""
+    """A scene, one renderer's converged pictures of the scene, and the depth decoded from them."""
 
     cell: Cell
     layout: Layout
@@ -35,7 +35,7 @@ class Reference:
 
 
 def converge(cell: Cell, layout: Layout, renderer: Renderer, samples: int, show: Show) -> Reference:
-    """The reference of a renderer: its own pictures at many samples, without denoising."""
+    """Render the reference of a renderer: pictures at many samples, without denoising."""
     show(f"{renderer.name}: reference of {samples} samples")
     radiance, _ = _render(cell, layout, renderer, samples, "none", REFERENCE_SEED)
     scanner = exposed_alike(cell.scanner, radiance)
@@ -86,10 +86,10 @@ def error_row(
 
 
 def samples_for(rows: Sequence[Figures], measure: str, target: float) -> tuple[float, str]:
-    """The number of samples at which rows of one kind have the error `target`, by a power law.
+    """Interpolate by a power law the number of samples at which rows have the error `target`.
 
     Returns:
-        The samples, and '<' or '>' if the target is outside of the tried range, else ''.
+        The samples, and '<' or '>' if the target is outside the tried range, else ''.
     """
     rows = sorted(rows, key=lambda row: row["samples"])
     if rows[0][measure] <= target:

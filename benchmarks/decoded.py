@@ -1,4 +1,4 @@
-"""Decoded depth against a converged reference, and where stripes have their edges."""
+"""Errors of decoded depth against a converged reference, and of the edges of stripes."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,24 +8,24 @@ from graycast.camera.scanner import Scan
 from graycast.rendering import Radiance
 from graycast.rig.pattern import Code
 
-WRONG_COLUMNS = 1.0  # a column that lies further off than this is wrong
-WIDE_PX = 8  # stripes of so many projector pixels or more have edges that can be located
-STEP_M = 3e-3  # pixels further apart in depth are of two surfaces
-LEAST_CONTRAST = 0.1  # white less black, as a share of the 99th percentile
+WRONG_COLUMNS = 1.0  # a column with a larger error is wrong
+WIDE_PX = 8  # stripes of at least this many projector pixels have edges that can be located
+STEP_M = 3e-3  # neighbours with a larger step in depth belong to two surfaces
+LEAST_CONTRAST = 0.1  # white minus black, as a share of the 99th percentile
 
 
 def valid(scan: Scan) -> Bool[np.ndarray, "h w"]:
-    """The pixels with depth."""
+    """Return the pixels with depth."""
     return scan.depth.reason == Reason.DECODED
 
 
 def decoding_error(result: Scan, reference: Scan) -> dict[str, float]:
-    """The error of a scan. All shares are relative to the reference's pixels with depth.
+    """Return the error of a scan; shares are relative to the reference's pixels with depth.
 
     `wrong_share`: both have depth, the columns differ by more than one. `hole_share`: the depth is
     lost. `extra_share`: there is depth where the reference has none. `bad_share` is their sum.
-    The root mean square of depth goes over all pixels that have both depths, wrong ones too;
-    `depth_rms_right_mm` over those that are not wrong, and the median again over all.
+    The root mean square and the median of depth include all pixels with both depths;
+    `depth_rms_right_mm` excludes the wrong ones.
     """
     known, expected = valid(result), valid(reference)
     both = known & expected
@@ -50,9 +50,9 @@ def decoding_error(result: Scan, reference: Scan) -> dict[str, float]:
 def edge_shifts(
     radiance: Radiance, reference: Radiance, code: Code, on_surface: Bool[np.ndarray, "h w"]
 ) -> dict[str, float]:
-    """The shifts of the edges of wide stripes along the camera's rows from the reference.
+    """Return the shifts of the edges of wide stripes against the reference, along camera rows.
 
-    An edge is where a bit's picture crosses the middle between white and black, linear between two
+    At an edge, a bit's picture crosses the middle between white and black, linear between two
     pixels. `edge_bias_px` is the mean shift towards the right, `edge_growth_px` the mean by which
     lit stripes grow at an edge, `edge_rms_px` the scatter [camera px]; edges that are not found
     within a pixel of their place are `edge_lost_share`.
@@ -80,22 +80,22 @@ def edge_shifts(
 
 
 def fine_contrast(radiance: Radiance, code: Code, on_surface: Bool[np.ndarray, "h w"]) -> float:
-    """Mean contrast of the finest bit, from 0 to 1, whose stripes are two pixels wide."""
+    """Return the mean contrast (0 to 1) of the finest bit, whose stripes are two pixels wide."""
     finest = min((f.bit, k) for k, f in enumerate(code.frames) if f.kind == "gray")[1]
     level = _levels(radiance, code, finest)[on_surface]
     return float(np.nanmean(np.minimum(np.abs(2 * level), 1.0)))
 
 
 def one_surface(reference: Scan) -> Bool[np.ndarray, "h w"]:
-    """Pixels whose right neighbour has a depth near their own, in the reference."""
+    """Return the pixels of the reference whose right neighbour has nearly the same depth."""
     depth_m = reference.depth.depth_m
     near = np.zeros(depth_m.shape, dtype=bool)
-    near[:, :-1] = np.abs(np.diff(depth_m, axis=1)) < STEP_M  # NaN compares false
+    near[:, :-1] = np.abs(np.diff(depth_m, axis=1)) < STEP_M  # a comparison with NaN is false
     return near
 
 
 def _wide_bits(code: Code) -> list[int]:
-    """Frames whose stripes are wide; the finest Gray bit's are two values wide."""
+    """Return the frames of wide stripes; those of the finest Gray bit are two values wide."""
     return [
         k
         for k, frame in enumerate(code.frames)
@@ -104,7 +104,7 @@ def _wide_bits(code: Code) -> list[int]:
 
 
 def _levels(radiance: Radiance, code: Code, number: int) -> Float[np.ndarray, "h w"]:
-    """A bit's picture from -1/2 (black) to 1/2 (white); NaN where the two hardly differ."""
+    """Scale a bit's picture to -1/2 (black) to 1/2 (white); NaN where both are nearly equal."""
     kinds = [frame.kind for frame in code.frames]
     white, black = (radiance.pattern[kinds.index(kind)] for kind in ("white", "black"))
     range_ = white - black
@@ -116,7 +116,7 @@ def _levels(radiance: Radiance, code: Code, number: int) -> Float[np.ndarray, "h
 def _edges(
     level: Float[np.ndarray, "h w"], on_surface: Bool[np.ndarray, "h w"], *, rising: bool
 ) -> Float[np.ndarray, "h w"]:
-    """Column of the crossing between each pixel and its right neighbour; NaN where is none."""
+    """Return the column of the crossing between each pixel and its right neighbour, or NaN."""
     left, right = level[:, :-1], level[:, 1:]
     crosses = (left < 0) & (right >= 0) if rising else (left >= 0) & (right < 0)
     place = np.full(level.shape, np.nan)
@@ -129,7 +129,7 @@ def _edges(
 def _nearest(
     edges: Float[np.ndarray, "h w"], wanted: Float[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w"]:
-    """For each wanted place the nearest one found, in its own or a neighbouring pair, less it."""
+    """Return the shift to the nearest edge within a pixel of each wanted place, or NaN."""
     padded = np.pad(edges, ((0, 0), (1, 1)), constant_values=np.nan)
     w = edges.shape[1]
     shifts = np.stack([padded[:, i : i + w] - wanted for i in range(3)])

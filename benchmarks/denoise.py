@@ -1,10 +1,10 @@
-"""The denoisers of docs/measurements/renderers.md: what denoising does to decoded depth.
+"""The effect of denoisers on decoded depth, for docs/measurements/renderers.md.
 
-For Cycles, whose frames have noise of their own as in K. Bai et al. 2024, and for Mitsuba's one
-pass, whose frames share one noise. Each is held against its own converged pictures, so a
-difference between the renderers plays no part; the sensor has no noise but in the table that says
-so. Rig and code are the paper's: white light, and Gray code along the baseline. A last table has
-the same rig in the light of one band, where Cycles' denoisers get pictures of pure red.
+Frames of Cycles have independent noise, as in K. Bai et al. 2024; those of Mitsuba's one pass share
+one noise. Each renderer is compared with its own converged pictures, so that differences between
+the renderers have no effect; the sensor is free of noise except in the table that states it. Rig
+and code are the paper's: white light, and Gray code along the baseline. The last table is for the
+same rig in the light of one band, where Cycles' denoisers get pictures of pure red.
 """
 
 from graycast.camera.sensor import SensorSpec
@@ -19,10 +19,10 @@ from .stages import PARTS
 
 SIZE_PX = (206, 154)
 FEWEST = 4
-REFERENCE_FACTOR = 4  # of the most samples
-ONE_BAND_FACTOR = 16  # of the samples of that table
-WITH_SENSOR = 16  # samples at which the sensor's noise is added: near the paper's 20
-BAD_SHARE_LIMIT = 0.01  # of pixels, which the recommended number of samples keeps
+REFERENCE_FACTOR = 4  # the reference has this many times the largest number of samples
+ONE_BAND_FACTOR = 16  # the same for the table of one band
+WITH_SENSOR = 16  # the sensor's noise is added at this number of samples, near the paper's 20
+BAD_SHARE_LIMIT = 0.01  # the recommended number of samples keeps this limit
 
 
 def measure(*, samples: int, show: Show) -> Figures:
@@ -40,7 +40,7 @@ def study(
     size_px: tuple[int, int],
     show: Show,
 ) -> Figures:
-    """Errors of decoded depth over samples and denoisers.
+    """Measure errors of decoded depth for several numbers of samples and denoisers.
 
     Args:
         converging: makes Cycles' reference in one band: with three patterns per render.
@@ -77,7 +77,7 @@ def study(
 
 
 def sample_counts(most: int) -> tuple[int, ...]:
-    """4, 8, 16 .. `most`.
+    """Return 4, 8, 16 .. `most`.
 
     Raises:
         ValueError: `most` is less than the fewest.
@@ -93,16 +93,16 @@ def sample_counts(most: int) -> tuple[int, ...]:
 
 
 def denoisers(renderer: Renderer) -> tuple[DenoiserName, ...]:
-    """What can be tried on a renderer's device."""
+    """Return the denoisers that run on a renderer's device."""
     gpu = renderer.name == "cycles" and renderer.device != "cpu"
     return ("none", "oidn", "optix") if gpu else ("none", "oidn")
 
 
 def recommended(rows: list[Figures], renderer: str) -> Figures:
-    """What the rows of a renderer speak for.
+    """Return the denoiser and the number of samples that the rows of a renderer recommend.
 
-    The denoiser with the smallest share of bad pixels at the paper's samples, and the fewest
-    samples from which on it keeps the limit; None where none does.
+    The denoiser has the smallest share of bad pixels at the paper's samples; the samples are the
+    fewest from which on it keeps the limit, or None if it never does.
     """
     own = [row for row in rows if row["renderer"] == renderer]
     near = min({row["samples"] for row in own}, key=lambda n: abs(n - WITH_SENSOR))

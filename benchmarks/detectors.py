@@ -22,11 +22,11 @@ BATCH = 4
 
 
 def measure(*, runs: Sequence[Path], dataset: Path, show: Show) -> Figures:
-    """A row for each trained detector, on the first pictures of a dataset.
+    """Time each trained detector on the first pictures of a dataset; return a row for each.
 
     `read_over_held` is the time of a training step whose pictures are read and augmented, over
-    that of the same step on pictures held in memory. `detect_ms` is from files' arrays to
-    detections in the picture's pixels, `bare_ms` the network's own answer.
+    that of the same step on pictures held in memory. `detect_ms` is the time from
+    arrays of files to detections in the picture's pixels, `bare_ms` that of the network alone.
 
     Raises:
         GraycastError: a run is no training, or the dataset has too few pictures.

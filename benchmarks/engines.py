@@ -23,24 +23,24 @@ from graycast.cell.generate import depth_step_mm
 from .figures import Figures, Show
 from .stages import PARTS, cell_of
 
-SCENES = 6  # of a round
+SCENES = 6  # in each round
 ROUNDS = 3
 
 
 @dataclass
 class _Contender:
-    """One way of making scenes, opened, with what its rounds took."""
+    """One way of making scenes, ready to run, with the times of its rounds."""
 
     make: Callable[[list[int]], None]
     seconds: list[float] = field(default_factory=list)
 
 
 def measure(*, count: int = PARTS, scenes: int = SCENES, show: Show) -> Figures:
-    """The same scenes by each engine in turn, one render thread per worker, after a warm-up.
+    """Time the same scenes with each engine in turn, one render thread per worker, when warm.
 
-    Files are made, but not written. `overhead` is the time over the bare loop's less one; `speedup`
-    that of two workers over one. Medians over the rounds' ratios, so that a machine's slow minutes
-    weigh on both sides.
+    Files are made, but not written. `overhead` is the time divided by that of the bare loop, minus
+    one; `speedup` is that of two workers over one. Both are medians of ratios within rounds, so
+    that slow minutes of the machine affect both sides.
 
     Raises:
         DropError, GraycastError: a scene could not be made.
@@ -79,7 +79,7 @@ def _contenders(task: SceneTask, open_now: ExitStack) -> Iterator[tuple[str, _Co
 
 
 class _Narrowed:
-    """A pool that is given fewer scenes at a time than it could take."""
+    """A pool that accepts at most `limit` scenes at a time."""
 
     def __init__(self, pool: Pool, limit: int) -> None:
         self._pool, self._limit, self._running = pool, limit, 0
@@ -97,7 +97,7 @@ class _Narrowed:
         return self._pool.gather()
 
     def close(self) -> None:
-        pass  # it is the pool's owner who closes it
+        pass  # the owner of the pool closes it
 
 
 def _all_by(pool: Pool) -> Callable[[list[int]], None]:

@@ -6,16 +6,16 @@ from statistics import median
 from typing import Any
 
 Figures = dict[str, Any]
-Show = Callable[[str], None]  # shows what is going on
+Show = Callable[[str], None]  # shows the progress
 
-LONGEST_LIST = 20  # of numbers in a line; the rest are for --json
+LONGEST_LIST = 20  # most numbers in a line; --json has the rest
 PAIRS = 5  # timed in turn, A B A B ...
 
 
 def in_turn(
     first: Callable[[], object], second: Callable[[], object]
 ) -> tuple[float, float, float]:
-    """Median seconds of two jobs that are run in turn, after one run of each to warm up.
+    """Return the median seconds of two jobs that run in turn, after one warm-up run of each.
 
     The third value is the median of the pairs' ratios: other work of the machine slows both jobs of
     a pair, and a ratio of medians compares runs of different pairs.
@@ -32,7 +32,7 @@ def in_turn(
 
 
 def describe(figures: Figures) -> str:
-    """The figures for a terminal: one a line, and a list of alike ones as a table."""
+    """Return the figures as text, one per line; a list of similar figures is a table."""
     lines = []
     for name, value in figures.items():
         if isinstance(value, dict) and all(isinstance(one, list) for one in value.values()):

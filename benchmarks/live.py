@@ -13,12 +13,12 @@ from graycast.show.live import Message, Session
 
 from .figures import Figures, Show
 
-RESOLUTION = "small"  # 516 x 386, of which the aims speak
+RESOLUTION = "small"  # 516 x 386, for which the aims are stated
 WAIT_S = 300.0
 
 
 def measure(*, config: Path, rounds: int, show: Show) -> Figures:
-    """Median and 95th percentile of the wait for the first picture of a change [ms].
+    """Return the median and 95th percentile of the wait for a change's first picture [ms].
 
     Each round changes a threshold, the exposure, the ambient light, the tilt of the rig and the
     seed; the next change waits until the picture of the last one is finished.
@@ -66,7 +66,7 @@ def measure(*, config: Path, rounds: int, show: Show) -> Figures:
 
 
 def _finished(session: Session, heard: "SimpleQueue[Message]") -> tuple[float, float]:
-    """Wait for the finished picture of what was asked last; when its first and its last came."""
+    """Return the waits [ms] for the first and the finished picture of the last request."""
     wanted, first_ms = session.number, math.nan
     deadline = time.monotonic() + WAIT_S
     while time.monotonic() < deadline:

@@ -1,8 +1,8 @@
 """Depth on matt, plastic, dark and metal parts: docs/measurements/materials.md.
 
 A heap of brackets is rendered once per rig and material, under the patterns of every code that is
-asked for. Each code's pictures are taken and measured, and the depth of the parts' pixels is
-compared with the true one.
+compared. Each code's pictures are taken and measured, and the depth of the parts' pixels is
+compared with the true depth.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -80,7 +80,7 @@ On the smoothest metal `{best.code}` has the fewest wrong depths, {best_wrong:.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Worth:
-    """Of one depth map: shares of the parts' pixels, and of the decoded ones for `wrong`.
+    """Shares of the parts' pixels in one depth map; `wrong` is a share of the decoded pixels.
 
     `error_over_sigma` is the median of |error| / sigma over that of a normal law: 1 where sigma is
     true.
@@ -109,7 +109,7 @@ def measured(resolution: str, names: Iterable[str] = SCANNERS) -> Iterator[Worth
 
 
 def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
-    """Headings and texts of docs/measurements/materials.md."""
+    """Yield the headings and texts of docs/measurements/materials.md."""
     guarded = {row.scanner for row in rows if row.code == BARE}
     preset, bare = (
         max(
@@ -177,14 +177,14 @@ def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:
 
 
 def around(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """What is no part, and near one."""
+    """Return the pixels near a part that are not part of any."""
     square = np.ones((2 * AROUND_PX + 1,) * 2, np.uint8)
     near = np.asarray(cv2.dilate(parts.astype(np.uint8), square)) > 0
     return near & ~parts
 
 
 def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
-    """The preset, the same without its guards, and one for each other code."""
+    """Return the preset, the preset without its guards, and a scanner for each other code."""
     scanners = {PRESET: scanner}
     if name != "paper":
         scanners[BARE] = replace(
@@ -204,13 +204,13 @@ def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
 
 
 def _keys(scanner: Scanner) -> list[tuple[Any, ...]]:
-    """What tells each of a scanner's pictures from those of others."""
+    """Return a key for each of a scanner's pictures; equal keys mean equal pictures."""
     code = scanner.light_code()
     return [(frame, code.offset_px, code.stride_px) for frame in code.frames]
 
 
 def _patterns(scanners: Mapping[str, Scanner]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
-    """Every picture of every scanner once."""
+    """Return every different picture of all scanners once, with its key."""
     pictures: dict[tuple[Any, ...], np.ndarray] = {}
     for scanner in scanners.values():
         pictures |= dict(zip(_keys(scanner), patterns_of(scanner), strict=True))
@@ -220,7 +220,7 @@ def _patterns(scanners: Mapping[str, Scanner]) -> tuple[list[tuple[Any, ...]], n
 def worth(
     depth: DepthMap, true_m: Float[np.ndarray, "h w"], pixels: Bool[np.ndarray, "h w"]
 ) -> dict[str, float]:
-    """The figures of `Worth`."""
+    """Return the figures of `Worth`."""
     known = pixels & np.isfinite(depth.depth_m)
     off_m, sigma_m = np.abs(depth.depth_m - true_m)[known], depth.sigma_m[known]
     wrong = depth.is_wrong(true_m)[known]

@@ -1,4 +1,4 @@
-"""The page docs/measurements/benchmarks.md, every figure of which is measured anew.
+"""The page docs/measurements/benchmarks.md, every figure of which is measured again.
 
 Each section measures, and returns its text. A figure that no section measures is not on the page.
 """
@@ -34,7 +34,7 @@ from .zoo_parts import ZOO, wavy_ring, zoo_part
 
 DROPS, SEEDS = (30, 100, 180, 255), range(1, 6)
 PAPER = ("metal_workpiece_1", "toothpaste")
-SCENES, PAPER_SCENES = 8, 3  # after one that compiles
+SCENES, PAPER_SCENES = 8, 3  # after a first run that compiles
 DENSE_FACES = (80_000, 330_000, 500_000)
 MOST_HULLS = 8  # rows of the table of hulls
 ROOT = Path(__file__).resolve().parents[1]
@@ -49,12 +49,12 @@ hold on other machines; seconds do not. `python -m benchmarks compare REV` compa
 def page(
     circumstances: dict[str, object], commit: str, names: Sequence[str] = ()
 ) -> Iterator[tuple[str, str]]:
-    """The headings and texts of the page, in order; each takes seconds to minutes.
+    """Yield the headings and texts of the page in order; each takes seconds to minutes.
 
     Args:
         circumstances: date and machine, as in `__main__`.
         commit: what is measured.
-        names: names of `SECTIONS`; all of them if there is none.
+        names: names of `SECTIONS`; without any, all of them.
     """
     yield "Benchmarks", INTRODUCTION.format(**circumstances, commit=commit).replace("\n", " ")
     for name in names or SECTIONS:
@@ -63,7 +63,7 @@ def page(
 
 
 def rendering() -> str:
-    open_renderer("mitsuba")  # chooses the device, before these are imported
+    open_renderer("mitsuba")  # chooses the device before the next imports
     from graycast.rendering.mitsuba.renderer import light
     from graycast.rendering.mitsuba.scene import build
     from graycast.rendering.mitsuba.truth import truth
@@ -74,7 +74,7 @@ def rendering() -> str:
     world = build(cell.scene, layout)
     build_s = time.perf_counter() - start
     patterns, quality = cell.patterns(), resolve_quality(cell.config)
-    # The cheapest form of a frame: a white picture is the same over any footprint.
+    # A white picture is the cheapest frame, since it is the same for each footprint.
     plain = replace(quality, footprint=False)
     stack_s, frame_s, ratio = in_turn(
         lambda: light(world, cell.scene, patterns, quality=quality, seed=1),
@@ -185,7 +185,7 @@ def decoding() -> str:
 def camera_frames(
     code: Code, rng: np.random.Generator, width_px: int, height_px: int
 ) -> UInt8[np.ndarray, "n h w"]:
-    """Frames of a camera that sees the whole projector, with noise."""
+    """Return noisy frames of a camera that sees the whole projector."""
     row = np.linspace(0, code.height_px - 1, height_px).astype(int)[:, None]
     column = np.linspace(0, code.width_px - 1, width_px).astype(int)
     frames = np.empty((len(code.frames), height_px, width_px), dtype=np.uint8)
@@ -195,7 +195,7 @@ def camera_frames(
 
 
 def hulls() -> str:
-    """The hulls of every part of the zoo, and of a smooth ring of ever more faces."""
+    """Measure the hulls of each part of the zoo, and of a smooth ring with more and more faces."""
     meshes = {name: zoo_part(name).mesh for name in ZOO}
     meshes |= {f"ring of {faces} faces": wavy_ring(faces) for faces in DENSE_FACES}
     rows = []

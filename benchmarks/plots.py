@@ -18,7 +18,7 @@ COLOR = {"mitsuba": ACCENT, "cycles": SECOND, "cycles3": "#e0a458"}
 STYLE = {"none": "o-", "oidn": "s--", "optix": "^:"}
 CLASS_COLOR = {"diffuse": ACCENT, "metal": INK, "plastic": SECOND, "bin": "#b08d57"}
 
-SUBS = (1, 2, 5)  # of a logarithmic axis's decade
+SUBS = (1, 2, 5)  # of a decade of a logarithmic axis
 
 
 def draw(figures: Figures, path: Path) -> None:
@@ -120,7 +120,7 @@ def _curves(ax: Axes, rows: list[Figures], x: str, y: str, *, log: bool = True) 
 
 
 def _number(axis: Axis, locator: Locator) -> None:
-    """Plain numbers at a logarithmic axis's ticks, and none between them."""
+    """Label the main ticks of a logarithmic axis with plain numbers, and no others."""
     axis.set_major_locator(locator)
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())

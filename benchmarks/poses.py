@@ -29,23 +29,23 @@ from graycast.world.parts.symmetry import joined, motions, shape_symmetry
 
 from .figures import Figures, Show
 
-MIN_VISIBILITY, SEED = 0.7, 0  # of the instances that are drawn
+MIN_VISIBILITY, SEED = 0.7, 0  # of the instances in the sample
 NEAR_DEG, NEAR_MM = 5.0, 3.0
-BOXES = {"box": 1.0, "box +20%": 1.2, "box -20%": 0.8}  # its sides, about its middle
+BOXES = {"box": 1.0, "box +20%": 1.2, "box -20%": 0.8}  # factors of the sides about the middle
 CASES = (
     *(("scanner", region) for region in ("mask", *BOXES)),
     ("perfect", "mask"),
     ("perfect", "box"),
 )
 DETECTED = (("scanner", "detected mask"), ("scanner", "detected box"))  # with a detector
-LEAST_IOU = 0.5  # of the boxes of an instance and of its detection
+LEAST_IOU = 0.5  # between the box of an instance and of its detection
 SHEET, COLUMNS, TILE_PX = 24, 6, 220  # instances on a sheet of overlays
-OUTLINE_M = 0.004  # steps of depth from pixel to pixel that are drawn
+OUTLINE_M = 0.004  # drawn where depth changes by more from pixel to pixel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Subject:
-    """One dataset's part, prepared."""
+    """The part of one dataset, with its models for the search."""
 
     name: str
     examples: Examples
@@ -58,7 +58,7 @@ class _Subject:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Trial:
-    """One instance in one case: what was found, and how far off it is."""
+    """One instance in one case: the pose that was found, and its error."""
 
     example: Example
     instance: int
@@ -83,10 +83,10 @@ def measure(
     min_visibility: float = MIN_VISIBILITY,
     show: Show,
 ) -> Figures:
-    """A row for each dataset and case: the share of poses within 5 degrees and 3 mm.
+    """Return a row for each dataset and case: the share of poses within 5 degrees and 3 mm.
 
-    `share` is modulo the symmetry of the part's shape, which is all that depth can tell; `strict`
-    modulo the symmetry that the dataset states, where print may tell sides apart.
+    `share` is modulo the symmetry of the part's shape, which is all that depth shows; `strict` is
+    modulo the symmetry that the dataset states, where print may distinguish sides.
 
     Args:
         instances: of each dataset, drawn from those visible enough.
@@ -160,7 +160,7 @@ def _opened(run: Path) -> Any:
 
 
 def _selection(examples: Examples, instances: int, min_visibility: float) -> dict[int, list[int]]:
-    """Places of instances by scene: drawn from all that are visible enough."""
+    """Draw instances that are visible enough; return their places in each scene."""
     there = []
     for scene_id in examples.scene_ids:
         example = examples.read(scene_id)
@@ -237,7 +237,7 @@ def _trials(
 def _region(
     example: Example, place: int, region: str, detections: Detections | None
 ) -> np.ndarray | None:
-    """A mask, or a box [x, y, columns, rows]; None where a detector missed the instance."""
+    """Return a mask or a box [x, y, columns, rows]; None if a detector missed the instance."""
     if region == "mask":
         return _needed(example.mask, example)[place]
     box_px = _needed(example.box_px, example)[place]
@@ -270,7 +270,7 @@ def _obj_id(example: Example, place: int) -> int:
 
 
 def scaled(box_px: Float[np.ndarray, "4"], factor: float) -> Float[np.ndarray, "4"]:
-    """[x, y, columns, rows] with its sides made longer or shorter about its middle."""
+    """Return a box [x, y, columns, rows] with its sides scaled about its middle."""
     middle, size = box_px[:2] + box_px[2:] / 2, box_px[2:] * factor
     return np.concatenate([middle - size / 2, size])
 
@@ -292,7 +292,7 @@ def _row(trials: Sequence[_Trial]) -> Figures:
 
 
 def _estimates(trials: Sequence[_Trial]) -> Iterator[PoseEstimate]:
-    """Of the instances that were looked at; BOP's time is of the picture."""
+    """Yield the poses that were found; as in BOP, the time is that of the whole picture."""
     seconds: dict[int, float] = {}
     for trial in trials:
         scene_id = trial.example.scene_id
@@ -310,7 +310,7 @@ def _estimates(trials: Sequence[_Trial]) -> Iterator[PoseEstimate]:
 
 
 def _sheet(subject: _Subject, trials: Sequence[_Trial]) -> UInt8[np.ndarray, "h w 3"]:
-    """Crops with the outline of the part drawn at the pose that was found; red where it is off."""
+    """Return crops with the part's outline at the pose that was found; red if that is wrong."""
     tiles = [_tile(subject, trial) for trial in trials]
     blank = np.zeros((TILE_PX, TILE_PX, 3), np.uint8)
     tiles += [blank] * (-len(tiles) % COLUMNS)
@@ -347,7 +347,7 @@ def _outline(
     origin: tuple[int, int],
     zoom: float,
 ) -> None:
-    """Outer outline and steps of depth of the drawn part, at the tile's resolution."""
+    """Draw the outer outline and the depth steps of the part, at the tile's resolution."""
     camera = trial.example.camera
     fine = replace(
         camera,
@@ -360,7 +360,7 @@ def _outline(
     )
     vertices = transform_points(T_cam_part, mesh.vertices_m.astype(np.float64))
     z = np.nan_to_num(rasterize(vertices, mesh.faces, fine).over(fine)[1], nan=10.0)
-    bend = np.zeros(z.shape, bool)  # at steps and creases; a steep plane has none
+    bend = np.zeros(z.shape, bool)  # at steps and creases, but not on a steep plane
     bend[1:-1] |= np.abs(np.diff(z, n=2, axis=0)) > OUTLINE_M
     bend[:, 1:-1] |= np.abs(np.diff(z, n=2, axis=1)) > OUTLINE_M
     big[bend] = (61, 220, 132) if trial.near else (255, 77, 77)

@@ -9,7 +9,7 @@ _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 def children() -> list[int]:
-    """The processes that this one has started and that are alive."""
+    """Return the ids of the living processes that this process has started."""
     pids = []
     for task in Path("/proc/self/task").iterdir():
         pids += [int(pid) for pid in (task / "children").read_text().split()]
@@ -17,29 +17,29 @@ def children() -> list[int]:
 
 
 def cpu_s() -> float:
-    """Processor time of this process and its living children, all threads."""
+    """Return the processor time of all threads of this process and its living children."""
     return time.process_time() + sum(_cpu_s(pid) for pid in children())
 
 
 def children_peak_rss_bytes() -> int:
-    """The largest memory that a living child has had; 0 without one."""
+    """Return the peak memory of the largest living child; 0 without a child."""
     return max((_peak_rss_bytes(str(pid)) for pid in children()), default=0)
 
 
 def peak_rss_bytes() -> int:
-    """The largest memory that this process has had, or one that it started and that has ended."""
+    """Return the peak memory of this process or, if larger, of any child that has ended."""
     ended = 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     return max(_peak_rss_bytes("self"), ended)
 
 
 def _peak_rss_bytes(pid: str) -> int:
-    """Of the program that runs: the kernel's `ru_maxrss` of a child includes its parent's."""
+    """Return the peak memory from /proc; a child's `ru_maxrss` would include its parent's."""
     words = Path(f"/proc/{pid}/status").read_text().split()
-    # A child that has just ended has none.
+    # The line is missing if a child has just ended.
     return 1024 * int(words[words.index("VmHWM:") + 1]) if "VmHWM:" in words else 0
 
 
 def _cpu_s(pid: int) -> float:
-    # The name in brackets may hold blanks; user and system ticks are the 12th and 13th after it.
+    # The name in brackets may contain spaces; user and system ticks are the 12th and 13th after it.
     words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(words[11]) + int(words[12])) / _TICKS_PER_S

@@ -1,10 +1,10 @@
 """The times of docs/measurements/renderers.md: Cycles by one and by three patterns, and Mitsuba.
 
-One scene on one machine, in turn, each from scene to radiance and ground truth. Cycles renders
-a few patterns and what comes with them (white, ambient, quantities); the others are counted at the
-median of its steady frames. Cycles starts warm, its process and kernels loaded, as Mitsuba's
-kernels are. Then how many samples each needs for the same error of decoded depth, at a smaller
-size, against its own converged pictures.
+The renderers run in turn on one scene and one machine, from scene to radiance and ground truth.
+Cycles renders a few patterns and the fixed frames (white, ambient, quantities); each further
+pattern counts as the median of its steady frames. Both start warm, with process and kernels loaded.
+At a smaller size, a second study finds the samples that each needs for the same error of decoded
+depth against its own converged pictures.
 """
 
 import math
@@ -30,9 +30,9 @@ from .processes import children_peak_rss_bytes, cpu_s
 from .stages import PARTS
 
 SIZE_PX = (1032, 772)
-TIMED = {1: 3, 3: 2}  # renders that are timed, of one and of three patterns each
+TIMED = {1: 3, 3: 2}  # timed renders, by patterns per render
 ROUNDS = 2
-FEW_SAMPLES = 4  # a second point in time: a frame of any number of samples lies on their line
+FEW_SAMPLES = 4  # second point of the line of frame time over samples
 ERROR_SIZE_PX = (172, 130)
 ERROR_MOST = 128
 MEASURES = ("bad_share", "depth_rms_right_mm")
@@ -40,7 +40,7 @@ MEASURES = ("bad_share", "depth_rms_right_mm")
 
 @dataclass(slots=True)
 class Stopwatch:
-    """Wall and processor time since its start, at each frame that Cycles finishes."""
+    """Wall and processor time since the start, recorded at each finished frame of Cycles."""
 
     start_s: float = field(default_factory=lambda: time.perf_counter())
     start_cpu_s: float = field(default_factory=lambda: cpu_s())
@@ -50,7 +50,7 @@ class Stopwatch:
         self.marks.append((time.perf_counter() - self.start_s, cpu_s() - self.start_cpu_s))
 
     def steady(self, count: int) -> tuple[float, float]:
-        """Seconds and processor seconds of a pattern's frame after the first of `count`."""
+        """Return median wall and processor seconds of the frames after the first of `count`."""
         pairs = list(pairwise(self.marks[:count]))
         wall_s = median(after[0] - before[0] for before, after in pairs)
         return wall_s, median(after[1] - before[1] for before, after in pairs)
@@ -71,14 +71,14 @@ def study(
     size_px: tuple[int, int],
     show: Show,
 ) -> Figures:
-    """Seconds of a stack by each, and their ratios at equal samples and at equal error.
+    """Time a stack by each; return the seconds, and ratios at equal samples and equal error.
 
     Args:
         three: Cycles with three patterns per render.
         count: brackets in the box.
 
     Raises:
-        ValueError: too few samples, or a size that is no crop of the camera's.
+        ValueError: too few samples, or a size that exceeds the camera's picture.
     """
     if samples <= FEW_SAMPLES:
         raise ValueError(f"samples is {samples}; give more than {FEW_SAMPLES}, which is also timed")
@@ -148,7 +148,7 @@ def _stack(
     patterns: UInt8[np.ndarray, "n ph pw"],
     quality: Quality,
 ) -> Figures:
-    """Seconds and processor seconds of a stack; of Cycles, from a few of its renders."""
+    """Return wall and processor seconds of a stack, for Cycles from a few of its renders."""
     watch = Stopwatch()
     if renderer.name != "cycles":
         renderer.render(cell.scene, layout, patterns, quality=quality, seed=1)
@@ -177,12 +177,12 @@ def _stack(
 
 
 def equal_error(rows: list[Figures], timed: Figures, samples: int) -> list[Figures]:
-    """For each measure of error: how many samples Cycles needs for what one pass has at `samples`.
+    """Return, for each measure, the samples Cycles needs for the error of one pass at `samples`.
 
-    And how many one pass needs for what Cycles has at `samples`. `cycles_over_onepass_cpu` is
-    then the ratio of processor times at the same error; a frame's is linear in its samples, which
-    its wall time is not where short frames leave processors idle. A '>' or '<' says that the
-    number lies beyond what was tried.
+    Also return the samples one pass needs for the error of Cycles at `samples`, and, as
+    `cycles_over_onepass_cpu`, the ratio of processor times at equal error. Processor time is
+    linear in the samples; wall time is not, because short frames leave processors idle. A '>' or
+    '<' means that the number is outside the tried range.
     """
     frame_s, few_s = timed["cycles_frame_cpu_s"], timed["cycles_frame_cpu_s_at_few_samples"]
     slope_s = (frame_s - few_s) / (samples - FEW_SAMPLES)
@@ -220,7 +220,7 @@ def _at(rows: list[Figures], measure: str, samples: int) -> float:
 def _errors(
     cell: Cell, layout: Layout, renderers: tuple[Renderer, Renderer, Renderer], show: Show
 ) -> list[Figures]:
-    """Error of decoded depth over samples, of one pass and of Cycles per pattern."""
+    """Measure the error of decoded depth over samples, for one pass and for Cycles."""
     mitsuba, cycles, three = renderers
     rows = []
     for renderer, for_reference in ((mitsuba, mitsuba), (cycles, three)):

@@ -25,11 +25,11 @@ Job = tuple[str, str, int, Callable[[], object]]  # stage, row, how often it run
 Group = Callable[[Path, int], Iterator[Job]]
 
 BRACKET = "metal_workpiece_1"
-DROPS = ((30, 8), (100, 3), (180, 1), (255, 1))  # parts, drops of a round
+DROPS = ((30, 8), (100, 3), (180, 1), (255, 1))  # parts, drops in a round
 PARTS = 30  # in the picture
 SAMPLES = 16
-WHITE_SAMPLES = 4  # with all 16 one frame takes as long as the stack, whose paths are the same
-SCENES = 3  # in the dataset that is validated
+WHITE_SAMPLES = 4  # at 16 samples one frame would take as long as a stack
+SCENES = 3  # in the validated dataset
 
 
 def imports(work: Path, number: int) -> Iterator[Job]:
@@ -77,7 +77,7 @@ def images(work: Path, number: int) -> Iterator[Job]:
     cell, renderer = cell_of({}), open_renderer("mitsuba")
     layout, patterns = stored_layout(work, cell.scene), cell.patterns()
 
-    @cache  # the stages after it go on with the stack that was timed
+    @cache  # later stages use the stack that was timed
     def render(frames: int, samples: int, seed: int) -> Any:
         quality = replace(resolve_quality(cell.config), samples=samples)
         return renderer.render(cell.scene, layout, patterns[:frames], quality=quality, seed=seed)
@@ -91,7 +91,7 @@ def images(work: Path, number: int) -> Iterator[Job]:
     develop = partial(color_picture, scanner, light, denoiser=renderer.denoiser, seed=1)
     yield "picture", "picture, denoised", 3, develop
     capture = take(scanner, light.radiance, seed=1)
-    noise = {}  # Commits before 7292fe19 look for the noise of the light by themselves.
+    noise = {}  # Commits before 7292fe19 find the noise of the light without this argument.
     if "path_noise" in inspect.signature(measure).parameters:
         noise = {"path_noise": light.radiance.path_noise}
     yield "decode", "decode", 5, partial(measure, scanner, capture, **noise)
@@ -103,7 +103,7 @@ def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iter
     from graycast.dataset.checking import validate
     from graycast.dataset.store import open_store
 
-    # `make_scene` with the layout and light that are there: a manifest must fit its dataset.
+    # `make_scene` gets the existing layout and light, since a manifest must fit its dataset.
     simulation: Any = simulate
     simulation.drop = lambda *_, **__: layout
     own = {name: getattr(renderer, name) for name in ("name", "device", "versions")}
@@ -111,10 +111,10 @@ def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iter
     make = partial(simulation.make_scene, cell, seed=0, renderer=again)
     samples, numbers = [make(number).sample for number in range(SCENES)], count()
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
-    # A commit's own step would not do: a finer one makes larger files.
+    # Both commits use the same depth step, since a finer step makes larger files.
     shared: Any = {"parts": cell.scene.parts, "rig": cell.scene.rig, "depth_scale_mm": 0.05}
     with open_store(Path(mkdtemp(dir=work)) / "dataset", config=config, seed=0, **shared) as store:
-        several = "samples" in inspect.signature(store.write).parameters  # 114e8a0 takes one
+        several = "samples" in inspect.signature(store.write).parameters  # 114e8a0 takes one sample
 
         def write() -> None:
             sample = samples[number := next(numbers)]
@@ -124,7 +124,7 @@ def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iter
         while len(store.finished()) < SCENES:
             write()
         store.finish(range(SCENES))
-        if problems := validate(store.out):  # it might be quick because it gives up
+        if problems := validate(store.out):  # a failed check might be quicker
             raise ValueError(f"the dataset has problems: {problems[0]}")
         yield "validate", f"validate, {SCENES} scenes", 3, partial(validate, store.out)
 
@@ -139,7 +139,7 @@ def cell_of(settings: dict[str, object]) -> Any:
 
 
 def stored_layout(work: Path, scene: Any) -> Any:
-    """The same for both trees, whose layouts of one seed differ: made once, then read."""
+    """Return one layout for both trees, whose drops may differ: made once, then read."""
     import numpy as np
 
     from graycast.world.drop import DropLimits, drop
@@ -161,7 +161,7 @@ STAGES = [stage for stages in GROUPS.values() for stage in stages]
 
 
 def processor_s() -> float:
-    """Processor time of this process, all threads, and of its children that have ended."""
+    """Return the processor time of this process, all threads, and of children that ended."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 
@@ -174,7 +174,7 @@ def run_job(stage: str, row: str, times: int, job: Callable[[], object]) -> None
             job()
             processor.append(processor_s() - start[0])
             wall.append(time.perf_counter() - start[1])
-    except Exception as error:  # what another commit cannot do must not end the comparison
+    except Exception as error:  # an error of one commit must not end the comparison
         return complain(stage, row, error)
     say(stage, row, value=median(processor))
     if stage == "render":
@@ -188,7 +188,7 @@ def run_group(group: Group, stages: set[str], number: str, work: str) -> None:
             if stage not in stages and not waiting:
                 return
             waiting.discard(stage)
-            # What hulls and drops fill is full before their first job.
+            # The caches of hulls and drops are filled before their first job.
             if stage in stages and not (warm and stage in ("hulls", "drop")):
                 run_job(stage, row, 1 if warm else times, job)
     except Exception as error:

@@ -25,7 +25,7 @@ from graycast.world.scene import Environment, Lamp, Layout, Quad, Scene
 
 WIDTH_PX, HEIGHT_PX, COLUMNS, LABEL_PX, GAP_PX = 160, 100, 4, 18, 6
 SAMPLES, SEED, STRIPE_PX = 512, 1, 7
-BALL_M = 0.018  # its radius
+BALL_M = 0.018  # radius of the ball
 WHITE_LAMP, WHITE_STRIPES = 0.8, 1.3  # the radiance [W sr^-1 m^-2] that is shown as white
 
 
@@ -47,7 +47,7 @@ def draw(out: Path, show: Callable[[str], None], names: tuple[str, ...] = (*MATE
 
 
 def swatch(renderer: Renderer, material: Material) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """The two parts under the lamp and under the stripes."""
+    """Render the two parts under the lamp and under the stripes."""
     ring = builtin_part("metal_workpiece_2")
     parts = tuple(replace(part, material=material) for part in (_ball(), ring))
     height_m = -float(ring.mesh.bounds_m[0, 2])

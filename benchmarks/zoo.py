@@ -1,8 +1,8 @@
-"""The table of docs/measurements/drop.md: whether parts come to rest and are in balance.
+"""The table of docs/measurements/drop.md: do parts come to rest, and are they in balance?
 
 Each family of `ZOO` is dropped into one bin, as many parts as asked for or as many as it holds
-loosely. A layout counts as made where `drop` returns it with the limits that a configuration has
-by default, and as in balance where MuJoCo finds no point of a part moved by more than 1 mm in 1 s.
+loosely. A layout counts as made if `drop` returns it with the default limits of a configuration,
+and as in balance if in MuJoCo no point of a part moves by more than 1 mm within 1 s.
 """
 
 import time
@@ -26,8 +26,8 @@ from .zoo_parts import ZOO, zoo_part
 
 BIN_M = (0.4, 0.3, 0.15)
 BALANCED_M = 1e-3
-FILL = 0.25  # share of the bin's room that the boxes about the parts may take
-ENTANGLED = ("spring", "chain")  # dropped in tens at most: a heap of them is one tangle
+FILL = 0.25  # share of the bin's volume that the parts' boxes may fill
+ENTANGLED = ("spring", "chain")  # at most ten are dropped, since a heap of them is one tangle
 ENTANGLED_MOST = 10
 
 
@@ -39,15 +39,15 @@ def measure(
     hull_folder: Path | None = None,
     show: Show,
 ) -> Figures:
-    """A row for each family and count: how many layouts were made, how fast, and how they hold.
+    """Return a row for each family and count: number, time and balance of its layouts.
 
     Each row is printed when it is complete.
 
     Args:
-        families: which of `ZOO` are dropped.
-        counts: numbers of parts; a family of which the bin holds fewer is dropped in that number.
-        seeds: drops a row.
-        hull_folder: where collision hulls are kept.
+        families: names in `ZOO`.
+        counts: numbers of parts; if the bin holds fewer, this smaller number is dropped.
+        seeds: number of drops in a row.
+        hull_folder: the folder of stored collision hulls.
 
     Raises:
         ValueError: no such family.
@@ -67,7 +67,7 @@ def measure(
 
 
 def describe_row(row: Figures) -> str:
-    """A row in one line."""
+    """Return the text of a row in one line."""
     text = f"{row['family']} x {row['count']}: {row['made']} of {row['asked']} made"
     if "attempts" in row:
         text += f", attempts {row['attempts']:g} (most {row['most']})"
@@ -83,7 +83,7 @@ def _most(part: Part) -> int:
 
 
 def _drop(part: Part, body: Body, count: int, seed: int, hull_folder: Path | None) -> Figures:
-    """One drop: processor time, and, where it made a layout, how that is."""
+    """Drop once; return the processor time and, if there is a layout, its figures."""
     box = Bin(inner_m=BIN_M)
     scene = Scene(rig=preset_rig("paper"), T_world_cam=np.eye(4), parts=(part,), bin=box)
     start = time.process_time()

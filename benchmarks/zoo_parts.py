@@ -20,8 +20,8 @@ from graycast.world.parts.builtin import CREASE_RAD
 from graycast.world.parts.normals import crease_normals
 from graycast.world.parts.shapes import loft, revolve, solid
 
-SEGMENTS = 48  # of a full turn: the facets of an 8 mm shank lie 9 um inside its circle
-WIRE_SEGMENTS = 24  # round the cross-section of a wire or a cord
+SEGMENTS = 48  # in a full turn: the facets of an 8 mm shank are up to 9 um inside its circle
+WIRE_SEGMENTS = 24  # around the cross-section of a wire or a cord
 
 _STEEL = Material(base_color=(0.45, 0.45, 0.46), metallic=1.0, roughness=0.4)
 _BRASS = Material(base_color=(0.55, 0.42, 0.2), metallic=1.0, roughness=0.35)
@@ -33,7 +33,7 @@ _CARD = Material(base_color=(0.5, 0.36, 0.22), roughness=0.8, specular=0.2)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Family:
-    """A shape [mm], and what it is made of."""
+    """A shape [mm] and its material."""
 
     shape: Callable[[], Manifold]
     density_kg_m3: float = 7800.0
@@ -42,7 +42,7 @@ class _Family:
 
 
 def zoo_part(name: str) -> Part:
-    """One part of a family of `ZOO`.
+    """Return the part of a family of `ZOO`.
 
     Raises:
         ValueError: the name is not in `ZOO`.
@@ -72,7 +72,7 @@ def zoo_part(name: str) -> Part:
 
 
 def wavy_ring(faces: int) -> Mesh:
-    """A smooth ring of about so many faces, 56 mm wide, whose surface waves by 1 mm."""
+    """Return a smooth ring of about `faces` faces, 56 mm wide, with waves of 1 mm."""
     turn = np.linspace(0, 2 * np.pi, int(np.sqrt(faces / 3.4)), endpoint=False)
     section_m = np.stack([0.02 + 0.008 * np.cos(turn), 0.008 * np.sin(turn)], axis=1)
     vertices_m, triangles = revolve(section_m, int(1.7 * len(turn)))
@@ -80,11 +80,11 @@ def wavy_ring(faces: int) -> Mesh:
     return Mesh(vertices_m=vertices_m * waves, faces=triangles)
 
 
-# --- what shapes are made of ---------------------------------------------------------------------
+# --- elements of shapes --------------------------------------------------------------------------
 
 
 def _turned(profile_mm: list[tuple[float | int, float | int]]) -> Manifold:
-    """A closed profile (r, z), counter-clockwise, turned once round the z axis."""
+    """Turn a closed profile (r, z), counter-clockwise, once around the z axis."""
     return CrossSection([profile_mm]).revolve(SEGMENTS)
 
 

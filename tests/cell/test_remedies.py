@@ -73,6 +73,7 @@ def test_a_depth_is_wrong_only_beyond_both_limits_and_only_parts_count():
     part = np.array([[True] * 6 + [False]])
     # The third (1.1 mm, 5.5 sigma) and the fifth (9 sigma) are wrong; the last is no part.
     shares = depth_shares(depth, true_m, part)
-    assert shares == of(pytest.approx(5 / 6), pytest.approx(2 / 5))
+    assert shares.depth == pytest.approx(5 / 6)
+    assert shares.wrong == pytest.approx(2 / 5)
     nothing = depth_shares(depth, true_m, np.zeros_like(part))
     assert nothing == of(0.0, 0.0)

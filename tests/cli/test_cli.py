@@ -51,7 +51,7 @@ OPTIONS = {
     "--device WORKERS",
     "live": "config --port --scene --open --device",
     "validate": "dataset --fast",
-    "report": "dataset --out --workers --detections --width",
+    "report": "dataset --out --workers --detections --files --width",
     "parts": "config --out --device",
     "dataset stats": "dataset --out --workers --card --licence",
     "dataset export": "dataset --format --out --selection --shares --split-seed --picture "

@@ -69,7 +69,7 @@ def test_walls_grow_as_the_bin_of_a_domain_does(crate, tmp_path, factor):
     """Oracle: the bin that a domain makes of the same size factor."""
     values = {
         "size_factor": factor,
-        "color": {"hue_deg": 30, "saturation": 0.5, "value": 0.5},
+        "color": {"hue_deg": 30.0, "saturation": 0.5, "value": 0.5},
         "texture": None,
     }
     values |= {"roughness": 0.5, "metallic": 0.0, "specular": 0.5, "texture_size_m": 0.5}

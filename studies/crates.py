@@ -1,4 +1,4 @@
-"""Crates as a CAD system would export them, made of a few numbers that tests know."""
+"""Crates as a CAD system would export them, built from a few numbers that tests know."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,24 +18,24 @@ class Crate:
     """
 
     inner_m: tuple[float, float, float] = (0.36, 0.26, 0.14)
-    lean: float = 0.07  # how far a wall goes outwards per height: 4 degrees
+    lean: float = 0.07  # outward shift of a wall per height: 4 degrees
     wall_m: float = 0.003
     floor_m: float = 0.004
     rim_m: float = 0.012
     bar_m: float = 0.006
 
     def half_m(self, height_m: float) -> np.ndarray:
-        """Half of the inside's length and width at a height over the floor."""
+        """Return half of the inner length and width at a height above the floor."""
         return np.array(self.inner_m[:2]) / 2 + self.lean * height_m
 
     @property
     def middle_m(self) -> tuple[float, float, float]:
-        """The inside as it is half way down."""
+        """Inner length and width at half the depth, and the depth."""
         x, y = (2 * self.half_m(self.inner_m[2] / 2)).tolist()
         return x, y, self.inner_m[2]
 
     def solid(self) -> trimesh.Trimesh:
-        """World frame: origin in the middle of the inner floor, z up."""
+        """Return the crate; the origin is the middle of the inner floor, and z points up."""
         depth = self.inner_m[2]
         outer = _frustum(self.half_m(0) + self.wall_m, self.half_m(depth) + self.wall_m,
                          -self.floor_m, depth)  # fmt: skip
@@ -53,7 +53,7 @@ class Crate:
         return trimesh.boolean.difference([body, room], engine="manifold")
 
     def write(self, path: Path, *, unit_m: float = 1e-3, turn: np.ndarray | None = None) -> Path:
-        """As a file in some unit, its origin somewhere, turned by a rotation."""
+        """Write the crate in some unit, with a shifted origin and turned by a rotation."""
         solid = self.solid()
         solid.apply_translation((0.1, 0.2, 0.05))
         if turn is not None:

@@ -1,13 +1,13 @@
 """The limits of the decoder in docs/measurements/stacks.md: light, noise, periods.
 
 python -m studies.decoder_limits saturation    pixels with a frame at the top of the range
-python -m studies.decoder_limits noise         of stacks of phases alone, measured in the stack
-python -m studies.decoder_limits periods       error rate against coverage where light is weak
+python -m studies.decoder_limits noise         measured noise of stacks that have only phases
+python -m studies.decoder_limits periods       error rate against coverage in weak light
 python -m studies.decoder_limits sigma         error over sigma, over modulation
 python -m studies.decoder_limits all
 
-The scene is a map of projector places in closed form: a leaning
-wall, a ball, a box and bars of a few pixels before it, each a step of some periods.
+The scene is a map of projector places in closed form: a leaning wall, and in front of it a ball, a
+box and bars of a few pixels, each with a step of several periods.
 """
 
 import argparse
@@ -27,12 +27,12 @@ from .projected import LEVELS, frames_of, share_of_white
 
 SHAPE = (192, 256)
 WIDTH_PX = 512
-WRONG_PX = 1.0  # a place that lies further off is wrong; half a cell of a Gray code is 0.5
+WRONG_PX = 1.0  # a place with a larger error is wrong; half a cell of a Gray code is 0.5
 USUAL = DecodeSpec(min_contrast=0.005)
 
 
 def surface() -> Float[np.ndarray, "h w"]:
-    """Projector columns (h, w) of the scene."""
+    """Return the projector columns (h, w) of the scene."""
     y, x = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]].astype(float)
     wall = 60 + 1.5 * x + 0.2 * y
     inside = np.maximum(1 - ((x - 80) / 45) ** 2 - ((y - 70) / 45) ** 2, 0)
@@ -53,7 +53,7 @@ def stack(
     levels: Levels = LEVELS,
     share: Float[np.ndarray, "n h w"] | None = None,
 ) -> UInt16[np.ndarray, "n h w"]:
-    """Frames of the scene in noise, clipped at the top, as a camera would."""
+    """Return frames of the scene with noise, clipped at saturation as by a camera."""
     place = surface()
     if share is None:
         share = share_of_white(code, place, disc_px=disc_px)
@@ -65,7 +65,7 @@ def stack(
 def scores_of(
     code: Code, frames: UInt16[np.ndarray, "n h w"], *, levels: Levels = LEVELS
 ) -> tuple[float, float, CodeMap]:
-    """Shares of all pixels that decode, and of these that are wrong; and the codes."""
+    """Return the decoded share of all pixels, the wrong share of these, and the codes."""
     place = surface()
     codes = decode(frames, code, USUAL, levels)
     known = codes.reason == Reason.DECODED
@@ -86,8 +86,9 @@ SHINY_CODES = {
 
 
 def shiny(*, strength: float) -> Float[np.ndarray, "h w"]:
-    """White light [DN] of brushed metal: streaks and highlights, lognormal, `strength` at 3 sigma
-    times the range.
+    """Return white light [DN] of brushed metal: lognormal streaks and highlights.
+
+    At 3 sigma, the light is `strength` times the range.
     """
     rng = np.random.default_rng(5)
     texture = gaussian_filter(rng.normal(size=SHAPE), (1.0, 12.0)) + gaussian_filter(
@@ -101,7 +102,7 @@ def saturation(args: argparse.Namespace) -> None:
     print("code, white light at 3 sigma / range: clipped %, decoded %, wrong % of these")
     for name, code in SHINY_CODES.items():
         for strength in (1.5, 4.0, 12.0):
-            # Phases through a projector out of focus: their peak stays under the white level.
+            # The projector is out of focus, so the peak of the phases stays below the white level.
             frames = stack(code, white_dn=shiny(strength=strength), disc_px=3.0)
             top = (frames >= LEVELS.saturation_dn).any(axis=0).mean()
             decoded, wrong, codes = scores_of(code, frames)
@@ -122,7 +123,7 @@ def without(code: Code, *kinds: str) -> Code:
 def two_periods(
     steps: int, *, periods_px: tuple[float, float] = (16.0, 17.0), width_px: int = 256
 ) -> Code:
-    """Two cosines whose beat is `width_px` long, at least: 272 px of 16 and 17 px."""
+    """Return two cosines with a beat of at least `width_px`: 272 px for 16 and 17 px."""
     frames = [
         Frame(kind="phase", axis="column", period_px=p, step=k, steps=steps)
         for p in periods_px
@@ -144,7 +145,7 @@ PHASES_ALONE = {
 def textured(
     code: Code, *, gamma: float, levels: Levels = LEVELS, white_dn: float = 1500.0
 ) -> UInt16[np.ndarray, "n h w"]:
-    """A stack of the scene with a printed texture, by a projector whose response is not linear."""
+    """Return a stack of the scene with a printed texture and a projector of nonlinear response."""
     rng = np.random.default_rng(8)
     albedo = 0.25 + 0.75 * gaussian_filter(rng.random(SHAPE) > 0.5, 1.0, output=float)
     share = share_of_white(code, surface()) ** gamma
@@ -177,7 +178,7 @@ WEAK_DN = (60.0, 120.0, 240.0, 480.0)
 
 
 def periods(args: argparse.Namespace) -> None:
-    """A place half a period off is wrong. `--power`: of the projector's response."""
+    """Count places that are wrong by half a period. `--power`: of the projector's response."""
     place = surface()
     print("code, white light: modulation, decoded %, wrong % of these, settled %, wrong % of these")
     for name, code in WEAK_CODES.items():
@@ -208,10 +209,10 @@ SIGMA_CODES = {
 
 
 def sigma(args: argparse.Namespace) -> None:
-    """Root mean square of error over sigma, of places that are no period off.
+    """Print the root mean square of error over sigma, of places in the right period.
 
-    Through a camera pixel that covers 1.5 projector pixels and a projector's disc; without more
-    error than noise, and with 4 % of light of its own in each frame of a Gray code.
+    A camera pixel covers 1.5 projector pixels, and the projector blurs by a disc. Noise is the only
+    error; in a second case, each frame of a Gray code also has 4 % of light of its own.
     """
     print(
         "code, disc: modulation of the finest stripes; error over sigma, 60, 300, 3000 DN of white"

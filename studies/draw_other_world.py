@@ -1,13 +1,13 @@
 """The other world of docs/measurements/detection.md: another scanner and cell, the same parts.
 
-python -m studies.draw_other_world     writes configs/paper/other_world/ anew
+python -m studies.draw_other_world     writes configs/paper/other_world/
 
 Detectors that were trained in one simulated world are scored in this one, to which nothing was
-tuned. It stands for a real cell, of which the makers of the simulation know the kind but not the
-figures. It is drawn once; a change here gives another world, and earlier figures are then not
-comparable.
+tuned. It represents a real cell whose kind is known to the makers of the simulation, but not its
+figures. It is drawn once: after a change here, the world differs, and earlier figures cannot be
+compared.
 
-Drawn uniformly unless said otherwise (log: uniform in the logarithm):
+Values are drawn uniformly unless stated otherwise (log: uniform in the logarithm):
 
 camera          focal length 0.92 to 1.08 of the paper's, principal point +-4 px, k1 -0.08 to -0.02,
                 k2 0 to 0.03, p1 and p2 +-0.0005, f/3.5 to f/6
@@ -126,7 +126,7 @@ def random_scanner(rng: np.random.Generator) -> Scanner:
 
 
 def random_room(rng: np.random.Generator) -> Float32[np.ndarray, "64 128 3"]:
-    """A room as a latitude-longitude picture (RGB, linear): row 0 is above, a column is azimuth."""
+    """Return a room as a latitude-longitude picture (linear RGB); row 0 is the zenith."""
     room = np.empty((64, 128, 3), np.float32)
     room[:32] = rng.uniform(0.3, 0.6) * rng.uniform(0.9, 1.1, 3)  # ceiling and upper walls
     room[32:] = rng.uniform(0.1, 0.3) * rng.uniform(0.8, 1.2, 3)  # floor and furniture
@@ -154,7 +154,7 @@ def random_lamp(rng: np.random.Generator) -> dict[str, Any]:
 def random_print(
     texture: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Another batch's ink: exponent and gain of each band, and a grain of paper."""
+    """Return a print with another ink (exponent and gain of each band) and paper grain."""
     share = (texture / 255.0) ** rng.uniform(0.85, 1.2, 3) * rng.uniform(0.8, 1.0, 3)
     grain = cv2.GaussianBlur(rng.standard_normal(texture.shape[:2]), (0, 0), 1.5)
     share *= 1 + 0.02 * (grain / grain.std())[..., None]

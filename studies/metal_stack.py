@@ -2,8 +2,8 @@
 
 python -m studies.metal_stack ../shared/data/stacks/xema_metal
 
-Real machined metal under phases of both axes: the rows judge the columns, so a point is wrong if it
-lies off its epipolar line by more than 2 px and three of its standard deviations.
+The stack shows machined metal under phases of both axes. The rows check the columns: a point is
+wrong if it is off its epipolar line by more than 2 px and by more than three standard deviations.
 """
 
 import argparse

@@ -43,11 +43,11 @@ from .random_shapes import random_shape
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 REAL = DATA / "phoxi"
-# What was measured of the device (README.md beside the scans): projector on the camera's left.
+# Measured values of the device (README.md of the scans); the projector is left of the camera.
 BASELINE_M, TOE_IN_DEG, NEAR_M, FAR_M = 0.235, 8.4, 0.6, 1.0
 FX_PX, CX_PX, CY_PX, SIZE_PX = 552.5, 255.5, 191.75, (516, 386)
-# Tangents of the projector's outermost rays, from where depth ends in all scans along a straight
-# line (left, right, above); below, the camera's picture ends before.
+# Tangents of the projector's outermost rays. In all scans depth ends along a straight line at the
+# left, right and top; at the bottom, the camera's picture ends first.
 LIT_X, LIT_Y = (-0.4161, 0.4225), (-0.3135, 0.4)
 T_BIN_CAM = [
     [-0.989165430, 0.00623583812, 0.146672650, -0.120568007],
@@ -57,8 +57,8 @@ T_BIN_CAM = [
 ]
 CARTONS = 40  # a third of the parts, as in the scans
 SLIPPERY = 0.15
-# Of the trade's families those that are as long as a hand, for clutter that is no carton. The
-# factor makes small ones as large as household things are.
+# Families of the zoo for clutter without cartons. The factor scales small parts to the size of
+# household objects.
 FAMILIES = {
     "hook": 1.5,
     "tee": 1.5,
@@ -78,9 +78,9 @@ FAMILIES = {
 
 
 def scanner() -> Scanner:
-    """The PhoXi's twin: its geometry as measured, all else as the preset has it but two filters.
+    """Return the PhoXi's twin: measured geometry, and the preset without two filters.
 
-    The scans have points up to the edges, and single ones, so the filters that take these off are
+    The scans have points up to the edges, and isolated points, so the filters that remove these are
     not used.
     """
     known = preset("like-phoxi-m", "small")
@@ -113,13 +113,13 @@ def scanner() -> Scanner:
 
 
 def _lens(size_px: int, lit: tuple[float, float]) -> tuple[float, float]:
-    """Focal length and principal point of a picture between two rays."""
+    """Return focal length and principal point of a picture between two rays."""
     focal_px = size_px / (lit[1] - lit[0])
     return focal_px, -lit[0] * focal_px - 0.5
 
 
 def configuration(meshes: Path, shapes: int) -> dict:
-    """Mixed parts and so many random shapes in the real bin, each repainted in most scenes."""
+    """Return a cell of parts and random shapes in the real bin, repainted in most scenes."""
     rng = np.random.default_rng(0)
     parts = []
     for file in sorted((DATA / "meshes" / "kit").glob("*.stl")):
@@ -144,8 +144,8 @@ def configuration(meshes: Path, shapes: int) -> dict:
         "bin": {
             "mesh": str(REAL / "bin.obj"),
             "unit": "m",
-            # Dark and smooth enough that steep walls are lost, as 40 to 90 % of their points are on
-            # the scans: whether a hole means a part's edge or a wall is what a detector learns.
+            # So dark and smooth that depth is lost on steep walls, as at 40 to 90 % of their pixels
+            # in the scans: a detector learns whether a hole means a part's edge or a wall.
             "material": {"base_color": [0.02, 0.02, 0.022], "roughness": 0.4},
         },
         "exposure": {"factors": [1.0, 6.0]},
@@ -170,7 +170,7 @@ def configuration(meshes: Path, shapes: int) -> dict:
 
 
 def write_bent_bin(camera: Optics, scans: list[int], file: Path) -> list[float]:
-    """The bin as these scans show it, whose walls bulge; the camera's pose over it, row by row."""
+    """Write the bin with the bulging walls of these scans; return the camera's pose by rows."""
     plain = resolve_bin(BinSection(mesh=REAL / "bin.obj", unit="m"), REAL)[0]
     views = []
     for i in scans:
@@ -183,16 +183,16 @@ def write_bent_bin(camera: Optics, scans: list[int], file: Path) -> list[float]:
 
 
 def cell_to_fit(known: dict, cartons: list[Path], bin_file: Path, T_world_cam: list[float]) -> dict:
-    """The same cell for `graycast real twin`: what is fitted is the preset's, pictures are quiet.
+    """Return the cell for `graycast real twin`: preset values to fit, and pictures of low noise.
 
     The search simulates the scans' own scenes; the parts are for scenes that are generated later.
     A third of its parts are printed cartons, mostly white, as in the real scans, where noise on
-    white paper is a quarter of that on the dark bin. Most parts keep their own colours. They lie in
-    the middle, cover a quarter of the picture and mostly lie flat, as those of the scans do: with
-    little friction hardly a carton comes to lean on others. The walls have the slopes of the real
-    ones. A classifier sees how many squares are floor, how steep they are, and how bright.
+    white paper is a quarter of that on the dark bin. Most parts keep their own colours. They are in
+    the middle, cover a quarter of the picture and are mostly flat, as in the scans: with little
+    friction, hardly any carton leans on others. The walls have the slopes of the real walls. All
+    this matters, since a classifier sees the share of floor squares, their slope and brightness.
 
-    Its light is that of every scan; random lamps would be noise that the scanner does not have.
+    The light is the same in all scans; random lamps would add noise that the scanner does not have.
     """
     fitted = {key: value for key, value in known.items() if key not in ("exposure", "decode")}
     domain = known["domain"] | {"lamps": None, "environment": None}
@@ -206,7 +206,7 @@ def cell_to_fit(known: dict, cartons: list[Path], bin_file: Path, T_world_cam: l
 
 
 def write_cartons(meshes: Path, count: int) -> list[Path]:
-    """So many cartons as files, whose textures are in them."""
+    """Write `count` cartons as files that contain their textures."""
     files = [meshes / f"carton_{seed:02d}.glb" for seed in range(count)]
     for seed, file in enumerate(files):
         printed_carton(seed).export(file)
@@ -214,9 +214,9 @@ def write_cartons(meshes: Path, count: int) -> list[Path]:
 
 
 def every_second_pixel(known: Scanner) -> Scanner:
-    """The scans are every second pixel of the device's map, so a pixel senses with a quarter.
+    """Return the scanner with pixels that are sensitive in a quarter of their area.
 
-    The device's lens blurs by more than one of its own pixels, as all lenses do.
+    The scans hold every second pixel of the device; its lens blurs by more than a device pixel.
     """
     camera = replace(known.rig.camera, fill_factor=0.25, psf_px=0.35)
     return replace(known, rig=replace(known.rig, name="phoxi-cell", camera=camera))
@@ -233,12 +233,12 @@ def _part(file: Path, unit: str, rng: np.random.Generator) -> dict:
 
 
 def write_real(out: Path) -> None:
-    """The real scans as a dataset of one class, at the size of their depth.
+    """Write the real scans as a dataset of one class, at the size of their depth.
 
-    The device's depth is every second pixel of its picture, so colour and masks are halved.
+    Depth has every second pixel of the device's picture, so colour and masks are halved.
     """
     source = out / "real_pictures"
-    for folder in (source, out / "real"):  # of an earlier call; both are made anew
+    for folder in (source, out / "real"):  # remove the results of an earlier call
         shutil.rmtree(folder, ignore_errors=True)
     for name in ("rgb", "depth", "annotations"):
         (source / name).mkdir(parents=True, exist_ok=True)

@@ -4,8 +4,8 @@ python -m studies.pictures report out/demo_page    the page of the report of doc
 python -m studies.pictures replay out/picks        the picks of docs/how-to/report.md
 python -m studies.pictures live                    graycast live configs/demo.yaml
 
-Each writes its pictures of docs/images anew. Playwright and Chromium are needed, as for the tests
-of the pages.
+Each command writes its pictures of docs/images. Playwright and Chromium are needed, as for the
+tests of the pages.
 """
 
 import argparse
@@ -35,7 +35,7 @@ REPLAY_PX, REPLAY_MS, STEP_S = 420, 200, 0.4  # The film is twice as fast as the
 
 @contextmanager
 def opened(url: str, size_px: tuple[int, int]) -> Iterator[Page]:
-    """A page in a window of that size, in light colours."""
+    """Open a page in a window of the given size, in light colours."""
     with sync_playwright() as running:
         browser = running.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         width, height = size_px
@@ -134,7 +134,7 @@ def live() -> None:
 
 
 def film(page: Page) -> list[Image.Image]:
-    """Exposure, then a frozen picture beside it, then the rig moves."""
+    """Film an exposure, then a frozen picture next to it, then a move of the rig."""
     frames = [shot(page)]
     page.click('[data-view="reasons"]')
     for target in ("0.4", "0.1"):

@@ -2,7 +2,7 @@
 
 Scanners see white paper with little noise and its print with more, so a heap without such faces
 has another mix of noise than one with them. A carton is one box in metres with a texture of six
-faces, and is modelled on no object.
+faces, and copies no real object.
 """
 
 import cv2
@@ -12,12 +12,12 @@ from PIL import Image
 
 FACE_PX = 384  # the longer edge of a face in the texture
 _WHITE_SHARE = 0.75
-# Of each face: the axis of its normal, its side, and the axes of its picture.
+# For each face: the axis of its normal, its side, and the axes of its picture.
 _FACES = [(0, 1, 1, 2), (0, -1, 2, 1), (1, 1, 2, 0), (1, -1, 0, 2), (2, 1, 0, 1), (2, -1, 1, 0)]
 
 
 def printed_carton(seed: int) -> trimesh.Trimesh:
-    """The carton of a seed: 6 to 20 cm wide and long, and 8 mm (a card) to 6 cm thick."""
+    """Return the carton of a seed: 6 to 20 cm wide and long, and 8 mm (a card) to 6 cm thick."""
     rng = np.random.default_rng([21, seed])
     width_m, length_m = sorted(rng.uniform(0.06, 0.20, 2))
     size_m = np.array([width_m, length_m, rng.choice([0.008, 0.02, 0.035, 0.06])])
@@ -49,7 +49,7 @@ def printed_carton(seed: int) -> trimesh.Trimesh:
 def _print(
     rng: np.random.Generator, base: np.ndarray, wide_px: int, high_px: int, wide_m: float
 ) -> np.ndarray:
-    """One face, as tall as it is wide in the world: fields of colour, lines of text, a bar code."""
+    """Draw one face with its proportions in the world: colour fields, text lines, a bar code."""
     picture = np.empty((high_px, wide_px, 3), dtype=np.uint8)
     picture[:] = base
     px_per_m = wide_px / wide_m

@@ -1,4 +1,4 @@
-"""What a camera sees of a coded projector, in one dimension and in closed form; and its noise."""
+"""Pictures of a coded projector, in one dimension and in closed form, and their noise."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ def two_phases(
     steps: int = 3,
     bits: int | None = None,
 ) -> Code:
-    """Columns by the phases of some periods and Gray bits with inverses, in wide cells."""
+    """Return a code of columns: phases of some periods, and wide Gray bits with inverses."""
     if bits is None:
         bits = int(np.ceil(np.log2(width_px / gray_cell_px)))
     phases = [
@@ -51,13 +51,13 @@ def share_of_white(
     camera_px: float = 1.5,
     disc_px: float = 1.0,
 ) -> Float[np.ndarray, "n h w"]:
-    """What each frame sends to projector positions (h, w), as a share of its white light.
+    """Return the light of each frame at projector positions (h, w), as a share of white light.
 
-    One position alone is that along the code's only axis.
+    Without `row`, `column` is the position along the code's only axis.
 
-    The projector's square pixels, seen through a camera pixel that covers `camera_px` of them and
-    a projector blurred to discs of radius `disc_px`; 0 for either leaves it out. Beyond the last
-    pixel it is dark.
+    A camera pixel covers `camera_px` of the projector's square pixels, and the projector blurs to
+    discs of radius `disc_px`; a value of 0 turns either effect off. Beyond the last pixel it is
+    dark.
     """
     kernel = _blur(camera_px, disc_px)
     places: dict[Axis, Float[np.ndarray, "h w"]] = {"column": column}
@@ -67,7 +67,7 @@ def share_of_white(
         places = {"row": column}
 
     margin = 4 + len(kernel) // FINE
-    between = {}  # The sample left of each place, and the way on: np.interp would look it up.
+    between = {}  # Left sample and fraction of each place, which np.interp would search for again.
     for axis, place_px in places.items():
         last = FINE * (code.size_px(axis) + 2 * margin) - 1
         at = np.clip(FINE * (place_px + margin + 0.5) - 0.5, 0, last)
@@ -111,7 +111,7 @@ def frames_of(
     levels: Levels = LEVELS,
     dtype: type[np.unsignedinteger] = np.uint16,
 ) -> np.ndarray:
-    """Pictures of light [DN above offset], with the noise that `levels` says, rounded."""
+    """Return rounded pictures of light [DN above offset], with the noise of `levels`."""
     mean = levels.offset_dn + light_dn
     if rng is not None:
         variance = levels.floor_dn2 - 1 / 12 + levels.slope_dn * light_dn
@@ -128,7 +128,7 @@ def crisp(
     bright: float = 200,
     dtype: type[np.unsignedinteger] = np.uint8,
 ) -> np.ndarray:
-    """A noiseless stack of a camera whose pixels see whole projector pixels (integers)."""
+    """Return a noiseless stack of a camera whose pixels see whole projector pixels (integers)."""
     row = np.zeros(column.shape, dtype=int) if row is None else row
     share = code.render()[:, row, column] / 255
     return np.ascontiguousarray(np.round(dark + (bright - dark) * share)).astype(dtype)

@@ -2,7 +2,7 @@
 
 Four kinds: forked limbs that meet in a joint (as tools and toys do), arches with or without a
 handle, flasks, and cards that carry a dome. A shape is one closed solid in metres, as long as a
-hand, and is modelled on no object.
+hand, and copies no real object.
 """
 
 from itertools import pairwise
@@ -16,7 +16,7 @@ _ADD = OpType.Add
 
 
 def random_shape(seed: int) -> trimesh.Trimesh:
-    """The shape of a seed; `seed % 4` is its kind: forked, arch, flask, card."""
+    """Return the shape of a seed; `seed % 4` is its kind: forked, arch, flask, card."""
     rng = np.random.default_rng([20, seed])
     kind = (_forked, _arch, _flask, _card)[seed % 4]
     mesh = kind(rng).to_mesh64()
@@ -88,7 +88,7 @@ def _card(rng: np.random.Generator) -> Manifold:
 
 
 def _limb(path_mm: np.ndarray, from_mm: float, to_mm: float, thick_mm: float) -> Manifold:
-    """A bar along a path in the plane z = 0, its half width changing evenly."""
+    """Return a bar along a path in the plane z = 0 whose half width changes linearly."""
     knots = [
         Manifold.cylinder(thick_mm, radius_mm, radius_mm * 0.8, SEGMENTS, True).translate((x, y, 0))
         for (x, y), radius_mm in zip(

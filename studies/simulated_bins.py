@@ -1,4 +1,4 @@
-"""Bins by the virtual camera, with parts left and walls lost, for docs/measurements/fit-bin.md.
+"""Simulated scans of bins with remaining parts and lost walls: docs/measurements/fit-bin.md.
 
 python -m studies.simulated_bins --bins 20             boxes
 python -m studies.simulated_bins --bins 20 --crates    crates with leaning walls
@@ -25,11 +25,11 @@ from graycast.world.scene import EMPTY_LAYOUT, bin_of
 from .crates import Crate
 from .smaller import shrunk
 
-LOST = 0.30  # of the inner walls' pixels
+LOST = 0.30  # share of the inner walls' pixels
 
 
 def small_cell(size_px: tuple[int, int] = (344, 258), **words: Any) -> Cell:
-    """A cell before the paper's rig with fewer pixels on the same field."""
+    """Return a cell with the paper's rig, but fewer pixels on the same field."""
     content = {"parts": [{"builtin": "metal_workpiece_1"}]} | words
     cell = resolve_cell(Config.model_validate(content), Path())
     rig = cell.scene.rig
@@ -39,10 +39,10 @@ def small_cell(size_px: tuple[int, int] = (344, 258), **words: Any) -> Cell:
 
 
 def random_cell(rng: np.random.Generator, folder: Path | None) -> tuple[Cell, Crate]:
-    """A bin of random size and look, a view that tilts up to 30 degrees, 3 to 8 parts left.
+    """Return a bin of random size and look, seen at up to 30 degrees of tilt, with 3 to 8 parts.
 
-    With a folder for its file the bin is a mesh whose walls lean, else a box. The crate returned
-    has the walls of either.
+    With a folder for its file, the bin is a mesh with leaning walls, else a box. The returned crate
+    has the same walls.
     """
     length, width, height = rng.uniform([0.30, 0.22, 0.10], [0.50, 0.38, 0.22]).round(3).tolist()
     view = {
@@ -57,7 +57,7 @@ def random_cell(rng: np.random.Generator, folder: Path | None) -> tuple[Cell, Cr
     else:
         crate = replace(crate, lean=rng.uniform(0.0, 0.12), rim_m=rng.uniform(0.005, 0.02))
         box = {"mesh": crate.write(folder / "crate.stl"), "unit": "mm"}
-    if rng.random() < 0.6:  # else of wood
+    if rng.random() < 0.6:  # else wood
         box["material"] = {
             "base_color": rng.uniform(0.1, 0.7, 3).tolist(),
             "roughness": rng.uniform(0.3, 0.8),
@@ -67,7 +67,7 @@ def random_cell(rng: np.random.Generator, folder: Path | None) -> tuple[Cell, Cr
 
 
 def measured(cell: Cell, renderer, *, seed: int) -> BinView:
-    """What the camera measures of the bin with parts left in it."""
+    """Measure the bin, with its remaining parts, by the camera."""
     shot = make_scene(cell, 0, seed=seed, renderer=renderer)
     return BinView(
         name="simulated", camera=cell.scene.rig.camera, depth_m=shot.sample.scanner_depth.depth_m
@@ -75,7 +75,7 @@ def measured(cell: Cell, renderer, *, seed: int) -> BinView:
 
 
 def wall_pixels(cell: Cell, crate: Crate, view: BinView, renderer, *, seed: int) -> np.ndarray:
-    """Which inner wall each pixel shows, 1 to 4; 0 elsewhere: from the renderer's own truth."""
+    """Return the inner wall that each pixel shows (1 to 4; 0 elsewhere), from ground truth."""
     nothing = np.zeros(
         (0, cell.scene.rig.projector.height_px, cell.scene.rig.projector.width_px), np.uint8
     )
@@ -99,9 +99,9 @@ def wall_pixels(cell: Cell, crate: Crate, view: BinView, renderer, *, seed: int)
 def lose_walls(
     depth_m: np.ndarray, label: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """No depth on whole walls in a random order, the last one in part, `LOST` of all their pixels.
+    """Remove depth from whole walls in random order, and from a part of the last, until `LOST`.
 
-    The part is one run of columns or rows, whichever way the wall is longer in the picture.
+    The part is one run of columns or rows, along the longer side of the wall in the picture.
     """
     lost, wanted = np.zeros(label.shape, dtype=bool), LOST * (label > 0).sum()
     for number in rng.permutation(4) + 1:
@@ -117,7 +117,7 @@ def lose_walls(
 
 
 def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[str, Any]:
-    """One random bin: by how much its fitted pose is wrong, and what the fit says."""
+    """Fit one random bin; return the error of the pose and the figures of the fit."""
     rng = np.random.default_rng([seed, number])
     with TemporaryDirectory() as folder:
         cell, crate = random_cell(rng, Path(folder) if crates else None)
@@ -143,7 +143,7 @@ def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[s
 def wrong_by(
     estimate: Float[np.ndarray, "4 4"], true: Float[np.ndarray, "4 4"]
 ) -> tuple[float, float]:
-    """Distance [m] of the bins' origins and angle [deg] between them, in the camera's frame."""
+    """Return the distance [m] and the angle [deg] between two bins, in the camera's frame."""
     T_a, T_b = inverse(estimate), inverse(true)
     cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
     off_m = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))

@@ -6,7 +6,7 @@ from graycast.rig.optics import Optics
 
 
 def shrunk(optics: Optics, width_px: int, height_px: int) -> Optics:
-    """The same field on fewer pixels."""
+    """Return a device with the same field on fewer pixels."""
     return replace(
         optics,
         width_px=width_px,

@@ -1,9 +1,9 @@
-"""What each part of the fitted scanner buys its twin, for docs/measurements/twin.md.
+"""The gain of a twin by each part of the fitted scanner, for docs/measurements/twin.md.
 
 python -m studies.phoxi_twin --scans 0 1 2 --out out/phoxi
 python -m studies.twin_knobs out/phoxi/cell.yaml --out out/phoxi/knobs.json
 
-The first search has all parameters; each further one lacks one part, which is off and no parameter.
+The first search has all parameters; in each further one, one part is off and not a parameter.
 All have the code of 12 px, the same seed and the same number of trials. The classifier judges the
 scans that were fitted and those kept aside, in several draws of the twins' noise.
 """
@@ -37,7 +37,7 @@ from graycast.real.twin.stage import LitScene, light_scenes, missing_places
 from .phoxi_twin import REAL
 
 FITTED, ASIDE = (0, 1, 2), (3, 4)
-OFF = 0.0  # the value with which each of these is off
+OFF = 0.0  # the value that turns each of these off
 KNOBS = (
     "projector.falloff",
     "speckle_contrast",
@@ -51,7 +51,7 @@ KNOBS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """What all searches have in common: scenes under light, and what is known of the scans."""
+    """The common inputs of all searches: rendered scenes, and the figures of the scans."""
 
     start: Scanner
     parameters: tuple[Parameter, ...]
@@ -128,7 +128,7 @@ def search_without(
 def judge(
     bench: Bench, scanner: Scanner, values: dict[str, float], draws: int
 ) -> dict[str, dict[str, Any]]:
-    """Of each set of scans the AUC by place, and the share of pixels with depth, for each draw."""
+    """Return, for each set of scans and draw, the AUC by place and the share with depth."""
     cut = len(FITTED)
     judgement: dict[str, dict[str, Any]] = {}
     for name, lit in (("fitted", bench.lit[:cut]), ("aside", bench.lit[cut:])):
@@ -146,7 +146,7 @@ def judge(
 
 
 def table_of(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """The page's table, in Markdown."""
+    """Return the page's table in Markdown."""
     columns = [(name, place) for name in ("fitted", "aside") for place in PLACES]
     heads = ["off", "misfit", "met", *(f"{place}, {name}" for name, place in columns)]
     rows = []

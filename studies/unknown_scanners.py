@@ -2,10 +2,9 @@
 
 python -m studies.unknown_scanners --draws 10 --trials 500
 
-A twin of each is made from three scans and compared with it. The twin knows the rig and the scenes,
-as `graycast real twin` stages them again, but here without an error of the surfaces. The hidden
-numbers lie anywhere in the middle four fifths of what is fitted, and the code is one of the
-candidates.
+A twin of each is made from three scans and compared with it. As in `graycast real twin`, the twin
+knows the rig and the scenes, but here the surfaces have no error. The hidden numbers are drawn from
+the middle four fifths of the fitted ranges, and the code is one of the candidates.
 """
 
 import argparse
@@ -38,23 +37,23 @@ from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
 from .smaller import shrunk
 
 SCENES = 3
-FITTED = tuple(p for p in PARAMETERS if p.key not in (BIN_GLOSS, BIN_ROUGHNESS))  # nothing shines
+FITTED = tuple(p for p in PARAMETERS if p.key not in (BIN_GLOSS, BIN_ROUGHNESS))  # nothing is shiny
 _FLOOR_M, _FLOOR_ALBEDO = 0.47, 0.04
-_MARGIN = 0.1  # of a parameter's range, at either end, where no hidden number lies
+_MARGIN = 0.1  # share of a parameter's range, at each end, without hidden numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unknown:
-    """A hidden scanner and what was found of it."""
+    """A hidden scanner, and the result of the search for it."""
 
     period_px: float | None
     hidden: dict[str, float]
-    own: float  # the misfit of the hidden scanner itself, whose noise is drawn anew
+    own: float  # the misfit of the hidden scanner itself, with new noise
     fit: Fit
 
     @property
     def inside(self) -> dict[str, bool]:
-        """Of each parameter: whether the hidden number is in the interval."""
+        """Whether the hidden number is in the interval, for each parameter."""
         return {
             one.parameter.key: one.low <= self.hidden[one.parameter.key] <= one.high
             for one in self.fit.estimates
@@ -81,7 +80,7 @@ def study(number: int, lit: Sequence[LitScene], *, trials: int) -> Unknown:
 
 
 def small_scanner() -> Scanner:
-    """A PhoXi-S with a quarter of the smallest preset's pixels and sharp lenses."""
+    """Return a PhoXi-S with a quarter of the smallest preset's pixels and sharp lenses."""
     scanner = preset("like-phoxi-s", "small")
     sharp: dict[str, Any] = {"aperture_m": 0.0, "psf_px": 0.0, "natural_vignetting": False}
     camera, projector = (replace(o, **sharp) for o in (scanner.rig.camera, scanner.rig.projector))
@@ -90,7 +89,7 @@ def small_scanner() -> Scanner:
 
 
 def light(scanner: Scanner, rng: np.random.Generator) -> LitScene:
-    """A dark floor with eight balls on and above it and two leaning boards, for every code."""
+    """Render a dark floor, eight balls on and above it and two leaning boards, with each code."""
 
     def grey(low: float, high: float) -> Material:
         return Material(base_color=(float(rng.uniform(low, high)),) * 3, specular=0.0)
@@ -141,7 +140,7 @@ def board(
     lean_y: float,
     material: Material,
 ) -> Quad:
-    """A square before the camera, leaning by two slopes, its front towards the camera."""
+    """Return a square in front of the camera, tilted by two slopes, that faces the camera."""
     u = np.array([1.0, 0.0, lean_x]) / np.hypot(1.0, lean_x)
     normal = np.array([lean_x, lean_y, -1.0])
     v = np.cross(normal / np.linalg.norm(normal), u)

@@ -1,4 +1,4 @@
-"""What `fuse` says of a wrong pose, for docs/measurements/merge.md.
+"""Doubts that `fuse` reports for wrong poses, for docs/measurements/merge.md.
 
 graycast generate configs/views.yaml --out out/views --scenes 1
 python -m studies.wrong_poses out/views
@@ -14,7 +14,7 @@ from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.dataset.stored import open_dataset
 from graycast.score.merge import fuse, read_view
 
-SENSOR, WRONG = "gray", 2  # the scanner of configs/views.yaml, and which of its views is changed
+SENSOR, WRONG = "gray", 2  # scanner of configs/views.yaml, and the number of the changed view
 
 
 def main() -> int:
@@ -31,7 +31,7 @@ def main() -> int:
 
 
 def wrong_poses(T_world_cam: np.ndarray) -> dict[str, np.ndarray]:
-    """A camera's pose with each error of the table."""
+    """Return a camera's pose with each error of the table."""
 
     def moved(*shift_m: float) -> np.ndarray:
         return T_world_cam @ rigid(np.eye(3), np.array(shift_m))

@@ -1,4 +1,4 @@
-"""A small scanner before a wall, and renderers that know beforehand what they will show."""
+"""A small scanner in front of a wall, and renderers that return known pictures."""
 
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +18,7 @@ SIZE_PX = (48, 20)
 
 @pytest.fixture(scope="session")
 def wall_cells(tmp_path_factory):
-    """By code: a cell of three kinds, of which only the names matter, before a small rig."""
+    """Return a small cell for each code; of its three kinds of part, only names matter."""
     folder = tmp_path_factory.mktemp("cell")
     trimesh.creation.box((60, 40, 30)).export(folder / "box.stl")
     parts = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in cells.MATERIALS]
@@ -35,10 +35,10 @@ def wall_cells(tmp_path_factory):
 
 @dataclass
 class Painter:
-    """A renderer in name: every pixel sees one projector column, by `white` of each class.
+    """A fake renderer: each pixel sees one projector column, in the `white` light of its class.
 
-    `shift_px` moves the columns; `blind` pixels of the first rows get no light at all. Its noise
-    has the standard deviation `noise / sqrt(samples)` of the light.
+    `shift_px` moves the columns; the first `blind` rows get no light at all. The noise has the
+    standard deviation `noise / sqrt(samples)`.
     """
 
     name: str = "mitsuba"
@@ -99,7 +99,7 @@ class Painter:
 
 @pytest.fixture
 def painted(monkeypatch, wall_cells):
-    """The studies in front of the wall: no physics, no scenes of their own."""
+    """Make the studies use the wall, without physics and without scenes of their own."""
     layout = Layout(T_world_part=np.tile(np.eye(4), (3, 1, 1)), part_index=np.arange(3))
     gray_cell, phase_cell = (wall_cells[name] for name in ("gray", "gray_phase"))
     for study in (agree, denoise, renderers):
@@ -112,7 +112,7 @@ def painted(monkeypatch, wall_cells):
 
 
 class Clock:
-    """A second passes at every look."""
+    """A clock that advances by one second at every call."""
 
     def __init__(self):
         self.now_s = 0.0

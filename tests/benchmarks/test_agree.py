@@ -49,8 +49,8 @@ def test_it_reports_the_ratio_of_each_class_exactly(painted):
 
 
 @pytest.mark.parametrize(("shift_px", "accepted"), [(0.2, True), (-0.3, False)])
-def test_it_reports_by_how_many_columns_the_second_is_off(painted, shift_px, accepted):
-    """0.03: interpolation between projector pixels is no cosine."""
+def test_it_reports_the_difference_in_columns(painted, shift_px, accepted):
+    """The tolerance of 0.03 allows for linear interpolation, since the code has cosines."""
     figures = study(painted(), painted(name="cycles", shift_px=shift_px))
     depth = figures["depth"]
     assert depth["median_columns"] == pytest.approx(shift_px, abs=0.03)
@@ -59,8 +59,8 @@ def test_it_reports_by_how_many_columns_the_second_is_off(painted, shift_px, acc
     assert figures["accepted"]["depth"] is accepted
 
 
-def test_it_counts_the_pixels_that_one_alone_could_decode(painted):
-    """The blind one lacks 3 of 20 rows; what is valid in neither would count as alike."""
+def test_it_counts_the_pixels_that_only_one_renderer_decodes(painted):
+    """The blind renderer lacks 3 of 20 rows; pixels that are invalid in both count as alike."""
     figures = study(painted(), painted(name="cycles", blind=3))
     depth = figures["depth"]
     assert depth["valid_in_first_only"] == pytest.approx(3 / 20)
@@ -72,7 +72,7 @@ def test_it_counts_the_pixels_that_one_alone_could_decode(painted):
     assert both["valid_in_both"] == pytest.approx(17 / 20)
 
 
-def test_both_get_the_same_scenes_without_footprint(painted):
+def test_both_renderers_get_the_same_scenes_without_the_footprint_filter(painted):
     heard = []
     first, second = painted(), painted(name="cycles")
     study(first, second, scenes=3, show=heard.append)
@@ -86,8 +86,8 @@ def test_both_get_the_same_scenes_without_footprint(painted):
     assert heard[-1] == "scene 3 of 3"
 
 
-def test_what_noise_alone_does_is_told_by_the_first_against_itself(painted):
-    """Another picture by the second changes nothing of it."""
+def test_the_effect_of_noise_alone_is_that_of_the_first_compared_with_itself(painted):
+    """A different picture of the second renderer does not change these figures."""
     noisy = painted(noise=0.5)
     one = study(noisy, painted(name="cycles", shift_px=3.0))["noise_alone"]
     assert one == study(noisy, painted(name="cycles"))["noise_alone"]
@@ -96,7 +96,7 @@ def test_what_noise_alone_does_is_told_by_the_first_against_itself(painted):
 
 
 @pytest.mark.slow
-def test_its_figures_are_json_a_text_and_a_picture(painted, tmp_path):
+def test_its_figures_can_be_written_as_json_text_and_plot(painted, tmp_path):
     figures = json.loads(json.dumps(study(painted(), painted(name="cycles"))))
     assert "median_abs_columns" in describe(figures)
     assert len(describe(figures).splitlines()) < 60
@@ -115,7 +115,7 @@ def test_its_figures_are_json_a_text_and_a_picture(painted, tmp_path):
 
 @pytest.mark.slow
 def test_cycles_and_mitsuba_agree_on_a_small_scene(cycles_renderer):
-    """Few noisy pixels: the medians of clean surfaces hold, of depth only what noise leaves."""
+    """The pixels are few and noisy, so only medians have tight limits."""
     with opened(1) as renderers:
         figures = study(*renderers, scenes=1, samples=16, size_px=(172, 130))
     assert np.abs(row(figures, "white", "diffuse")["median"] - 1) < 0.02

@@ -1,4 +1,4 @@
-"""The figures of caustics: what a firefly is, and how much of the light it has."""
+"""The definition of a firefly, and its share of the light."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from benchmarks.caustics import fireflies
 
 
 def test_a_firefly_has_the_light_beyond_its_neighbours():
-    """Counted by hand: one pixel of eleven times the rest, and one of twice, which is none."""
+    """Counted by hand: a pixel of 11 times the rest is a firefly, one of twice the rest is not."""
     white = np.ones((20, 20))
     white[10, 10], white[4, 4] = 11.0, 2.0
     everywhere = np.ones_like(white, dtype=bool)

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def records(row, *, here, there, stage="drop"):
-    """Figures of as many rounds as there are numbers."""
+    """Return records of as many rounds as there are numbers."""
     sides = {"here": here, "there": there}
     return [
         {"stage": stage, "row": row, "side": side, "round": str(number), "value": value}
@@ -24,7 +24,7 @@ def records(row, *, here, there, stage="drop"):
 
 @pytest.fixture
 def repository(tmp_path):
-    """One commit with an empty package, and a child that ends before it says anything."""
+    """Return a repository with one commit of an empty package."""
     root = tmp_path / "repository"
     (root / "src/graycast").mkdir(parents=True)
     (root / "src/graycast/__init__.py").write_text("")
@@ -43,8 +43,8 @@ def run(root, rev="HEAD", stages=("drop",)):
     return compare(root, rev, stages=stages, minutes=0, path=None, on_progress=lambda text: None)
 
 
-def test_the_ratio_is_that_of_figures_of_one_round():
-    """The machine is twice as slow in the second round: no ratio shows it, the medians do."""
+def test_ratios_are_taken_within_a_round():
+    """A machine that is slower in the second round changes the medians, but not the ratios."""
     (row,) = summarise(records("fall", here=[1.1, 2.0, 1.2], there=[1.0, 2.0, 1.0]))
     assert row["here"] == 1.2 and row["there"] == 1.0
     assert (row["ratio"], row["lowest"], row["highest"]) == (1.1, 1.0, 1.2)
@@ -52,12 +52,12 @@ def test_the_ratio_is_that_of_figures_of_one_round():
 
 
 @pytest.mark.parametrize(("ratio", "marked"), [(0.5, False), (1.05, False), (1.06, True)])
-def test_what_is_slower_by_more_than_a_twentieth_is_marked(ratio, marked):
+def test_a_stage_slower_by_more_than_5_percent_is_marked(ratio, marked):
     (row,) = summarise(records("fall", here=[ratio] * 2, there=[1.0] * 2))
     assert ("slower" in row["note"]) == marked
 
 
-def test_a_stage_that_cannot_be_set_up_is_the_reason_of_all_its_rows():
+def test_all_rows_of_a_stage_that_cannot_be_set_up_have_its_error():
     ran = [r for name in ("a", "b") for r in records(name, here=[1.0, 1.0], there=[])]
     failed = {"stage": "drop", "row": "drop", "side": "there", "round": "0", "error": "no | drop"}
     rows = summarise([*ran, failed, *records("decode", here=[2.0], there=[2.0], stage="decode")])
@@ -66,7 +66,7 @@ def test_a_stage_that_cannot_be_set_up_is_the_reason_of_all_its_rows():
     assert "| a | 1 |  |  |  | there: no \\| drop |" in table(rows)
 
 
-def test_a_row_that_fails_does_not_speak_for_its_neighbours():
+def test_an_error_in_one_row_leaves_other_rows_unchanged():
     failed = {"stage": "drop", "row": "b", "side": "there", "round": "0", "error": "deep"}
     first, second = summarise([*records("a", here=[1.0], there=[2.0]), failed])
     assert (first["ratio"], first["note"]) == (0.5, "")
@@ -75,7 +75,7 @@ def test_a_row_that_fails_does_not_speak_for_its_neighbours():
 
 @pytest.mark.slow
 def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
-    """Neither the real stages nor their packages: this tree's `graycast` is empty."""
+    """The tree has an empty package `graycast`, so no stage of the tool runs."""
     (tmp_path / "graycast").mkdir()
     (tmp_path / "graycast/__init__.py").write_text("")
     results = list(child(["import", "drop"], "0", str(tmp_path), "there", str(tmp_path)))
@@ -86,7 +86,7 @@ def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
     assert results[-1]["row"] == "peak memory [MB]"
 
 
-def test_a_process_that_dies_gives_every_stage_its_last_words(tmp_path, monkeypatch):
+def test_every_stage_has_the_last_line_of_a_process_that_dies(tmp_path, monkeypatch):
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\necho first >&2; echo last words >&2; exit 3\n")
     python.chmod(0o755)
@@ -115,7 +115,7 @@ def test_the_other_tree_is_the_commit_and_not_the_working_tree(repository):
     assert not other.exists()
 
 
-def test_packages_that_the_other_commit_alone_needs_are_named(repository, monkeypatch):
+def test_packages_that_only_the_other_commit_needs_are_named(repository, monkeypatch):
     lacking = {"stage": "drop", "row": "drop", "error": "no", "missing": "no_such"}
     monkeypatch.setattr(module, "child", lambda *words: iter([lacking]))
     with pytest.raises(CompareError, match=r"--target DIR 'no_such-package>=2', then give --path"):
@@ -144,10 +144,10 @@ def test_an_unknown_stage_is_named(capsys):
 
 
 @pytest.mark.slow
-def test_a_commit_takes_as_long_as_itself():
-    """Against HEAD itself. Processor time of equal code differs by what shares the caches: by up to
-    a tenth in two rounds on a busy machine. A factor of 1.5 is far from that, and far from a ratio
-    of different work. The imports alone, since other stages render first.
+def test_a_commit_compared_with_itself_has_a_ratio_near_one():
+    """HEAD is compared with itself. Load of the caches changes the processor time of equal code, by
+    up to a tenth in two rounds on a busy machine; a factor of 1.5 is far from that and from the
+    ratio of different work. Only imports are timed, since other stages render first.
     """
     results = compare(ROOT, "HEAD", stages=("import",), minutes=0.1, path=None, on_progress=print)
     rows = summarise(results)

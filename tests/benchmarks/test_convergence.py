@@ -1,4 +1,4 @@
-"""How many samples an error takes, between and beyond those that were tried."""
+"""The number of samples that an error needs, inside and outside the tried range."""
 
 import pytest
 
@@ -18,12 +18,12 @@ def test_a_power_law_is_read_back_exactly(wanted):
     assert samples == pytest.approx(wanted) and side == ""
 
 
-def test_beyond_what_was_tried_it_says_on_which_side():
+def test_an_error_outside_the_tried_range_is_marked_with_its_side():
     assert samples_for(rows(lambda n: 1 / n), "error", 0.01) == (32.0, ">")
     assert samples_for(rows(lambda n: 1 / n), "error", 0.5) == (4.0, "<")
     assert samples_for(rows(lambda n: 1 / n), "error", 0.25) == (4.0, "")
 
 
-def test_the_first_crossing_counts_and_no_error_at_all_is_no_problem():
+def test_the_first_crossing_counts_even_with_an_error_of_zero():
     errors = [{"samples": n, "error": e} for n, e in ((4, 1.0), (8, 0.0), (16, 0.5))]
     assert samples_for(errors, "error", 0.3) == (8.0, "")

@@ -1,4 +1,4 @@
-"""Errors of decoded depth, and of the places of edges, counted against what was put in."""
+"""Errors of decoded depth and of edges, compared with the errors that were put in."""
 
 from types import SimpleNamespace
 
@@ -15,7 +15,7 @@ CODE = gray(64, 8, axes=("column",))
 
 
 def result(column, depth_m, valid):
-    """A decoded map of given columns and depths."""
+    """Return a decoded map of given columns and depths."""
 
     def where(values):
         return np.where(valid, values, np.nan).astype(np.float32)
@@ -32,8 +32,8 @@ def result(column, depth_m, valid):
 
 
 def test_each_kind_of_error_is_counted_in_shares_of_the_reference():
-    """100 pixels, 80 with depth: 4 wrong by two columns and 10 mm, 8 lost, 5 too many, all others
-    3 mm off and by one column, which is not wrong.
+    """Of 100 pixels, 80 have depth: 4 are wrong by two columns and 10 mm, 8 are lost, 5 are extra.
+    All others have an error of one column and 3 mm, which does not count as wrong.
     """
     column, depth_m = np.full((10, 10), 30.0), np.full((10, 10), 0.7)
     valid = np.arange(100).reshape(10, 10) < 80
@@ -54,13 +54,13 @@ def test_each_kind_of_error_is_counted_in_shares_of_the_reference():
     assert error["depth_rmse_mm"] == pytest.approx(np.sqrt((68 * 9 + 4 * 100) / 72), rel=1e-4)
 
 
-def test_a_result_is_no_error_against_itself():
+def test_a_result_has_no_error_against_itself():
     same = result(np.full((4, 4), 3.0), np.full((4, 4), 0.5), np.ones((4, 4), dtype=bool))
     assert not any(decoding_error(same, same).values())
 
 
 def light(shift_px=0.0, growth_px=0.0, per_column=4, blur_px=3.0):
-    """The code on a wall, `per_column` camera pixels to a projector pixel, edges `blur_px` wide.
+    """Return the code on a wall: `per_column` camera pixels per column, edges `blur_px` wide.
 
     `shift_px` moves all edges to the right, `growth_px` makes lit stripes wider at both ends.
     """
@@ -88,9 +88,9 @@ EVERYWHERE = np.ones((3, 256), dtype=bool)
 
 @pytest.mark.parametrize(("shift_px", "growth_px"), [(0.3, 0.0), (0.0, -0.2), (-0.25, 0.1)])
 def test_edges_are_found_where_they_were_moved_to(shift_px, growth_px):
-    """Rising and falling edges are nearly as many, so a shift is no growth and the reverse."""
+    """There are nearly as many rising as falling edges, so shift and growth separate."""
     figures = edge_shifts(light(shift_px, growth_px), light(), CODE, EVERYWHERE)
-    # Of wide stripes: bits 2 to 5 of 64 values have 8, 4, 2 and 1 edges.
+    # Edges of wide stripes: bits 2 to 5 of 64 values have 8, 4, 2 and 1 edges.
     rising, falling = 4 + 2 + 1 + 1, 4 + 2 + 1
     unbalanced = (falling - rising) / (rising + falling)
     assert figures["edge_bias_px"] == pytest.approx(shift_px + unbalanced * growth_px, abs=1e-4)
@@ -104,9 +104,9 @@ def test_an_edge_that_moved_too_far_is_lost():
     assert edge_shifts(light(), light(), CODE, nowhere) == {}
 
 
-def test_blur_takes_the_contrast_of_the_finest_stripes():
-    """Wide edges eat the flat parts of stripes of 8 camera pixels: by hand, edges of b pixels leave
-    1 - b / 16 of the mean distance from the middle.
+def test_blur_reduces_the_contrast_of_the_finest_stripes():
+    """Wide edges reduce the flat parts of stripes of 8 camera pixels. Computed by hand: edges of b
+    pixels leave 1 - b / 16 of the mean distance from the middle.
     """
     for blur_px in (2.0, 6.0):
         contrast = fine_contrast(light(blur_px=blur_px), CODE, EVERYWHERE)

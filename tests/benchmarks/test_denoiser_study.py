@@ -13,7 +13,7 @@ from benchmarks.figures import describe
 
 
 def rows(renderer="cycles", **shares):
-    """Rows of a series from 4 samples on."""
+    """Return the rows of a series that starts at 4 samples."""
     return [
         {"renderer": renderer, "denoise": denoise, "samples": 4 * 2**k, "bad_share": share}
         for denoise, series in shares.items()
@@ -21,7 +21,7 @@ def rows(renderer="cycles", **shares):
     ]
 
 
-def test_the_advice_is_the_best_at_the_papers_samples_and_where_it_keeps_the_limit():
+def test_the_advice_is_the_best_denoiser_and_the_fewest_samples_within_the_limit():
     series = {"none": (0.4, 0.2, 0.1, 0.009, 0.001), "oidn": (0.3, 0.1, 0.05, 0.02, 0.004)}
     advice = recommended(rows(**series) + rows("mitsuba", none=(0.0,) * 5), "cycles")
     assert advice == {
@@ -33,7 +33,7 @@ def test_the_advice_is_the_best_at_the_papers_samples_and_where_it_keeps_the_lim
     }
 
 
-def test_an_error_that_comes_back_with_more_samples_gives_no_number():
+def test_no_number_is_advised_if_the_error_rises_with_more_samples():
     advice = recommended(rows(none=(0.1, 0.005, 0.008, 0.02)), "cycles")
     assert advice["samples"] is None
     assert recommended(rows(none=(0.1, 0.02, 0.008, 0.006)), "cycles")["samples"] == 16
@@ -47,8 +47,8 @@ def test_the_series_doubles_up_to_the_most():
 
 
 @pytest.mark.slow
-def test_noise_that_falls_with_samples_gives_errors_that_do(painted):
-    """And a renderer without noise has none, at any number, with any denoiser."""
+def test_errors_fall_with_samples_as_the_noise_does(painted):
+    """A renderer without noise has no errors, for any number of samples and denoiser."""
     noisy = painted(name="cycles", noise=0.6)
     figures = denoise.study(
         painted(), noisy, painted(name="cycles", noise=0.6), count=3, most=16, size_px=(48, 20),
@@ -69,8 +69,8 @@ def test_noise_that_falls_with_samples_gives_errors_that_do(painted):
 
 
 @pytest.mark.slow
-def test_denoising_takes_bad_pixels_off_cycles_at_few_samples(cycles_renderer, tmp_path):
-    """In white light, by far: 12 patterns at 4 samples on a small crop."""
+def test_denoising_reduces_bad_pixels_of_cycles_at_few_samples(cycles_renderer, tmp_path):
+    """In white light, denoising helps a lot: 12 patterns at 4 samples on a small crop."""
     with opened(1, 3) as renderers:
         figures = denoise.study(
             *renderers, count=30, most=8, size_px=(86, 64), show=lambda text: None

@@ -1,4 +1,4 @@
-"""The study of engines, on small scenes: who was measured, and how its ratios come about."""
+"""The study of engines, on small scenes: which engines run, and how ratios are formed."""
 
 import pytest
 from small_cell import write_cell
@@ -9,7 +9,7 @@ from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 
 
-def test_ratios_are_medians_over_rounds_of_the_same_round():
+def test_ratios_are_medians_of_ratios_within_rounds():
     seconds = {"bare": [1.0, 10.0, 4.0], "local_1": [1.1, 11.0, 8.0], "local_2": [0.5, 5.5, 4.0]}
     contenders = {name: _Contender(make=print, seconds=s) for name, s in seconds.items()}
     figures = _figures(contenders, 30, 6)
@@ -27,4 +27,4 @@ def test_every_engine_makes_the_scenes(tmp_path, monkeypatch):
     monkeypatch.setattr(engines, "find_spec", lambda name: None)
     figures = engines.measure(count=3, scenes=2, show=lambda text: None)
     assert set(figures["seconds"]) == {"bare", "local_1", "local_2"}
-    assert figures["local_speedup"] > 0  # how high it is, a busy machine does not tell
+    assert figures["local_speedup"] > 0  # a busy machine may have any speedup

@@ -51,7 +51,7 @@ def test_every_command_has_its_module_and_page(capsys, name):
 
 
 def test_help_loads_no_package_under_test():
-    """`compare` may run where packages are missing; and NumPy takes longer than its start."""
+    """`compare` may run without packages, and importing NumPy takes longer than its start."""
     code = "import sys; from benchmarks import __main__; print('numpy' in sys.modules)"
     words = [sys.executable, "-c", code]
     run = subprocess.run(words, cwd=program.ROOT, capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""The table of materials: what counts as wrong, and that each picture is rendered once."""
+"""The table of materials: the criterion of a wrong depth, and pictures rendered once."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from graycast.camera.decode import DepthMap
 from graycast.camera.scanner import preset
 
 
-def test_a_depth_is_wrong_that_is_off_by_more_than_1_mm_and_5_sigmas():
-    off_m = np.array([[0.0, 0.5e-3, 2e-3, 2e-3, 9.0, 9.0]])  # the last one is no part
+def test_a_depth_with_an_error_above_1_mm_and_5_sigmas_is_wrong():
+    off_m = np.array([[0.0, 0.5e-3, 2e-3, 2e-3, 9.0, 9.0]])  # the last pixel shows no part
     sigma_m = np.array([[1e-4, 5e-5, 5e-4, 3e-4, np.nan, 1e-4]])
     parts = np.array([[True] * 5 + [False]])
     depth_m = np.where(np.isnan(sigma_m), np.nan, 0.8 + off_m)
@@ -29,7 +29,7 @@ def test_a_depth_is_wrong_that_is_off_by_more_than_1_mm_and_5_sigmas():
 
 @pytest.mark.slow
 def test_every_picture_of_every_code_is_rendered_once():
-    """The preset's pictures have those of the scanner without guards among them."""
+    """The preset's pictures include all pictures of the scanner without guards."""
     scanners = _scanners("like-phoxi-m", preset("like-phoxi-m", "small"))
     keys, patterns = _patterns(scanners)
     assert len(set(keys)) == len(keys) == len(patterns)

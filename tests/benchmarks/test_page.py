@@ -1,4 +1,4 @@
-"""The page of benchmarks: headings, wrapped text, and tables as they are."""
+"""The page of benchmarks: headings, wrapped text, and unwrapped tables."""
 
 from argparse import Namespace
 

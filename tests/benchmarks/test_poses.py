@@ -16,7 +16,7 @@ def test_a_box_grows_about_its_middle():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_poses_are_found_in_a_dataset_and_written(master, tmp_path):  # noqa: F811
-    """Prisms in closed form: perfect depth and masks give their poses, and every file is BOP's."""
+    """Perfect depth and masks of prisms give their poses, and every file has BOP's form."""
     out = tmp_path / "poses"
     words = {"datasets": [master], "instances": 6, "min_visibility": 0.9, "out": out}
     rows = measure(**words, show=lambda text: None)["rows"]

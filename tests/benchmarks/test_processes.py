@@ -1,4 +1,4 @@
-"""Time and memory of this process and its children, against what they were made to use."""
+"""Time and memory of this process and its children, compared with known use."""
 
 import subprocess
 import sys
@@ -27,7 +27,7 @@ def worker():
 
 
 def test_a_childs_time_and_memory_count(worker):
-    """0.3 s of work; ticks of a hundredth. It may have begun before the first look."""
+    """The child works for 0.3 s, partly perhaps before the first look; ticks are of 0.01 s."""
     before_s = cpu_s()
     assert worker.stdout.readline() == "done\n"
     assert worker.pid in children()
@@ -37,7 +37,7 @@ def test_a_childs_time_and_memory_count(worker):
 
 @pytest.mark.slow
 def test_a_benchmark_s_peak_is_that_of_the_process_that_did_the_work():
-    """A process of 600 MB has ended: its memory was left out, and a small parent's was stated."""
+    """A child of 600 MB has ended: the peak must be its peak, not that of the small parent."""
     words = "x = bytearray(600_000_000); x[::4096] = x[::4096]"
     script = (
         "import subprocess, sys; from benchmarks.processes import peak_rss_bytes;"

@@ -1,4 +1,4 @@
-"""The speed study: what is counted is what would have been measured."""
+"""The speed study: extrapolated times equal the times that would be measured."""
 
 import json
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ WORDS = {"count": 3, "samples": 16, "size_px": (48, 20), "show": lambda text: No
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Time that passes where a renderer says so, wall and processor alike by a factor of 2."""
+    """Return a clock that renderers set; processor time is twice the wall time."""
 
     class Time:
         now_s = 0.0
@@ -29,7 +29,7 @@ def clock(monkeypatch):
 
 
 def slow(painted, clock, **words):
-    """A painter that takes time: `start_s`, then `per_sample_s` for each render's samples."""
+    """Return a painter that takes `start_s`, then `per_sample_s` for each sample of a render."""
 
     @dataclass
     class Slow(painted):
@@ -51,9 +51,9 @@ def slow(painted, clock, **words):
     return Slow(**words)
 
 
-def test_a_stack_that_is_counted_takes_as_long_as_one_that_is_rendered(painted, clock):
-    """13 patterns, 11 of them neither white nor black: one pass takes 0.5 + 1.6 s, Cycles
-    7 + 11 * 16 s, and with three per render 7 + 4 * 32 s.
+def test_an_extrapolated_stack_takes_as_long_as_a_rendered_stack(painted, clock):
+    """Of 13 patterns, 11 are neither white nor black. One pass takes 0.5 + 1.6 s; Cycles takes
+    7 + 11 * 16 s, or 7 + 4 * 32 s with three patterns per render.
     """
     three = slow(painted, clock, name="cycles", start_s=7, per_sample_s=2, patterns_per_render=3)
     figures = renderers.study(
@@ -75,9 +75,9 @@ def test_a_stack_that_is_counted_takes_as_long_as_one_that_is_rendered(painted, 
     assert len(figures["rounds"]) == 2
 
 
-def test_equal_error_is_told_by_the_law_of_the_error():
-    """Errors 1 / n of one pass and 6 / n of Cycles: 96 samples for 16; frames of 2 + n / 2 s
-    of processors.
+def test_samples_for_equal_error_follow_the_power_law():
+    """With errors of 1 / n (one pass) and 6 / n (Cycles), Cycles needs 96 samples for the error of
+    16; a frame takes 2 + n / 2 s of processor time.
     """
     rows = [
         {"renderer": name, "samples": n, "bad_share": factor / n, "depth_rms_right_mm": factor / n}
@@ -85,7 +85,7 @@ def test_equal_error_is_told_by_the_law_of_the_error():
         for n in (4, 8, 16, 32, 64, 128)
     ]
     timed = {
-        "cycles_frame_s": 9.0,  # one thread for half of the time: not what samples cost
+        "cycles_frame_s": 9.0,  # includes a serial half, which is no cost of samples
         "cycles_over_onepass": 99.0,
         "cycles_frame_cpu_s": 2 + 16 * 0.5,
         "cycles_frame_cpu_s_at_few_samples": 2 + 4 * 0.5,
@@ -100,7 +100,7 @@ def test_equal_error_is_told_by_the_law_of_the_error():
 
 
 def test_a_frame_that_is_not_steady_does_not_count(clock):
-    """The first frame builds the scene; the median leaves out one that was disturbed."""
+    """The first frame builds the scene; the median ignores one disturbed frame."""
     watch = Stopwatch()
     for frame_s in (30, 4, 4, 19, 1):
         clock.now_s += frame_s
@@ -114,7 +114,7 @@ def test_too_few_samples_are_refused(painted):
 
 
 @pytest.mark.slow
-def test_its_figures_are_json_a_text_and_a_picture(painted, clock, tmp_path):
+def test_its_figures_can_be_written_as_json_text_and_plot(painted, clock, tmp_path):
     words = {"name": "cycles", "noise": 0.3, "per_sample_s": 1}
     figures = renderers.study(
         slow(painted, clock, per_sample_s=0.1, noise=0.3),
@@ -140,7 +140,7 @@ def test_its_figures_are_json_a_text_and_a_picture(painted, clock, tmp_path):
 
 @pytest.mark.slow
 def test_one_pass_is_many_times_faster_than_a_frame_for_each_pattern(cycles_renderer, monkeypatch):
-    """On a small crop, where starting costs count: the ratio of a whole picture is larger."""
+    """The ratio is smaller than for a whole picture, since starting costs count in a crop."""
     monkeypatch.setattr(renderers, "ERROR_MOST", 8)
     monkeypatch.setattr(renderers, "ERROR_SIZE_PX", (86, 64))
     with opened(1, 3) as all_three:

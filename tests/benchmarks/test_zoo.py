@@ -1,4 +1,4 @@
-"""The zoo: parts that bins are full of come to rest, and another engine finds them so."""
+"""The zoo: typical parts of bins come to rest, and another engine confirms it."""
 
 import numpy as np
 import pytest
@@ -69,27 +69,27 @@ def dropped(*families, counts, seeds, hull_folder):
 
 @pytest.mark.slow
 def test_a_bolt_makes_scenes_and_lies_in_balance(tmp_path):
-    """The part that once came to no rest on the empty floor."""
+    """A bolt on an empty floor once never came to rest."""
     for row in dropped("hex_bolt", counts=(1, 10), seeds=2, hull_folder=tmp_path):
         assert (row["made"], row["most"], row["balanced"]) == (2, 1, 2), row
 
 
 @pytest.mark.slow
 def test_boxes_that_lie_on_faces_are_in_balance(tmp_path):
-    """Judged by one or two points of each contact they rocked by 1 to 41 mm: see balance.py."""
+    """With one or two points per contact, boxes rocked by 1 to 41 mm: see balance.py."""
     (row,) = dropped("yellow_salt_cube", counts=(7,), seeds=4, hull_folder=tmp_path)
     assert (row["made"], row["balanced"]) == (4, 4), row
 
 
 @pytest.mark.slow
 def test_ten_tubes_of_many_hulls_come_to_rest(tmp_path):
-    """With the engine's clustering of contacts they never do."""
+    """The tubes never come to rest if the engine clusters contacts."""
     (row,) = dropped("tube", counts=(10,), seeds=1, hull_folder=tmp_path)
     assert row["made"] == row["asked"] == 1, row
 
 
 @pytest.mark.slow
-def test_families_that_trembled_for_ever_come_to_rest(tmp_path):
+def test_families_that_once_never_settled_come_to_rest(tmp_path):
     names = ("socket_screw", "rivet", "tube", "o_ring", "spring", "chain", "shaft", "gear")
     rows = dropped(*names, counts=(1, 10), seeds=2, hull_folder=tmp_path)
     assert len(rows) == 2 * len(names)
@@ -98,7 +98,7 @@ def test_families_that_trembled_for_ever_come_to_rest(tmp_path):
         assert row["balanced"] >= 1, row
 
 
-def test_a_row_is_what_its_drops_say():
+def test_a_row_summarises_its_drops():
     drops = [
         {"cpu_s": 1.0, "attempts": 1, "overlap_mm": 0.1, "moved_mm": 0.2},
         {"cpu_s": 9.0},

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from benchmarks.zoo_parts import SEGMENTS, WIRE_SEGMENTS, ZOO, zoo_part
 from graycast.world.parts import BUILTIN
 
-# What a chord polygon of n corners encloses of its circle.
+# Share of a circle that a chord polygon of n corners encloses.
 ROUND, WIRE, SPRING_WIRE = (np.sinc(2 / n) for n in (SEGMENTS, WIRE_SEGMENTS, 16))
 HEXAGON = np.sqrt(3) / 2  # area over the width across flats, squared
 
@@ -23,7 +23,7 @@ def disc(diameter, height):
 
 
 def cone(bottom, top, height):
-    """A frustum between two diameters."""
+    """Return the volume of a frustum between two diameters."""
     return np.pi / 12 * (bottom**2 + bottom * top + top**2) * height
 
 
@@ -32,7 +32,7 @@ def torus(radius, cord):
 
 
 def nut():
-    """12 sectors from a flat's middle to a corner; the height falls beyond the flats' circle."""
+    """Integrate 12 sectors from flat to corner; beyond the circle of the flats, height falls."""
 
     def height(r):
         return 6.8 - 2 * np.tan(np.pi / 6) * max(0.0, r - 6.5)
@@ -44,7 +44,7 @@ def nut():
 
 
 def gear():
-    """20 times the width of a tooth, integrated over the radius; below it a disc."""
+    """Integrate the width of 20 teeth over the radius, and add the disc below them."""
     base = 20 * np.cos(np.radians(20))
 
     def involute(r):
@@ -59,7 +59,7 @@ def gear():
 
 
 def bottle():
-    """Discs over the height; the outline is the polygon that was turned, its curves integrated."""
+    """Add discs over the height; the curves of the outline are integrated exactly."""
     foot = quad(lambda z: (26 + np.sqrt(16 - (4 - z) ** 2)) ** 2, 0, 4)[0]
     shoulder = quad(lambda s: 35 * (30 - 17 * s * s * (3 - 2 * s)) ** 2, 0, 1)[0]
     straight = 30**2 * 91 + 13**2 * 28
@@ -67,19 +67,19 @@ def bottle():
 
 
 def clip():
-    """The ring sinks 1 mm into the foot: the segment of its outer disc below is counted once."""
+    """Return the volume; the ring overlaps the foot by 1 mm, which counts once."""
     overlap = 36 * np.arccos(5 / 6) - 5 * np.sqrt(36 - 25)
     ring = np.radians(280) / 2 * (6**2 - 4**2)
     return 10 * (ring + 24 * 2 - overlap) - ROUND * disc(4, 2)
 
 
 def spring_wire_mm():
-    """Length of three helices: a turn's rise is 1.55, 5.9 and 1.55 mm."""
+    """Return the length of three helices; a turn rises by 1.55, 5.9 and 1.55 mm."""
     girth = 2 * np.pi * 6.75
     return 2 * np.hypot(girth, 1.55) + 6 * np.hypot(girth, 35.4 / 6)
 
 
-# Volume, and how far the facets may be from it beyond what `ROUND` and `WIRE` hold, of the whole.
+# Volume, and the relative error that facets may add to that of `ROUND` and `WIRE`.
 EXPECTED = {
     "hex_bolt": (HEXAGON * 13**2 * 5.3 + ROUND * (disc(8, 23.75) + cone(5.5, 8, 1.25)), 1e-9),
     "socket_screw": (
@@ -151,7 +151,7 @@ def test_the_rings_of_the_chain_are_linked_and_do_not_touch():
     pieces = sorted(mesh.split(), key=lambda piece: piece.centroid[0])
     for i, piece in enumerate(pieces):
         reach = np.linalg.norm(piece.vertices[:, None] - middle - rings[i], axis=2).min(axis=1)
-        assert reach.max() < 1.26  # each piece is the wire round its circle
+        assert reach.max() < 1.26  # each piece is the wire around its circle
         for j in range(i):
             apart = np.linalg.norm(rings[i][:, None] - rings[j], axis=2).min()
             assert apart > 2.5 + 0.5
@@ -159,7 +159,7 @@ def test_the_rings_of_the_chain_are_linked_and_do_not_touch():
 
 
 def _linking(one, other):
-    """Gauss's integral over two closed curves."""
+    """Return Gauss's linking integral of two closed curves."""
     step, step_b = np.roll(one, -1, axis=0) - one, np.roll(other, -1, axis=0) - other
     between = (one + step / 2)[:, None] - (other + step_b / 2)
     twist = np.einsum("abi,abi->ab", between, np.cross(step[:, None], step_b))

@@ -1,4 +1,4 @@
-"""The cell of five real scans: without its data it stops in one line, and it may be made twice."""
+"""The cell of five real scans: without its data one line says so, and it can be made twice."""
 
 import shutil
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 
 from graycast.dataset.training import open_examples
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# The array type of pycocotools 2.0.11 is older than NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,7 +22,7 @@ def run_twin(root: Path, out: Path) -> subprocess.CompletedProcess:
 
 @pytest.mark.slow
 def test_without_the_scans_it_stops_in_one_line(tmp_path):
-    """As a stranger has it: the repository with nothing beside it."""
+    """The repository of a stranger has no data folder next to it."""
     root = tmp_path / "stranger" / "repository"
     for folder in ("studies", "benchmarks"):
         shutil.copytree(ROOT / folder, root / folder)
@@ -34,7 +34,7 @@ def test_without_the_scans_it_stops_in_one_line(tmp_path):
 
 
 @pytest.mark.slow
-def test_it_may_be_made_twice(shared, tmp_path):
+def test_the_study_can_run_twice(shared, tmp_path):
     for _ in range(2):
         ended = run_twin(ROOT, tmp_path / "twin")
         assert ended.returncode == 0, ended.stderr

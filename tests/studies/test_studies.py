@@ -1,4 +1,4 @@
-"""Each study names the pages that it serves, each of these names it, and none works on import."""
+"""A study and its pages name each other, and no study does any work on import."""
 
 import ast
 import re
@@ -16,7 +16,7 @@ def test_a_study_and_its_pages_name_each_other(file):
     work = (ast.Expr, ast.For, ast.While, ast.With)
     assert not [node for node in tree.body[1:] if isinstance(node, work)]
     if not any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
-        return  # a part of studies and of tests
+        return  # a module that studies and tests share
     docstring = ast.get_docstring(tree)
     assert f"python -m studies.{file.stem}" in docstring
     pages = re.findall(r"docs/[\w/-]+\.md", docstring)

@@ -51,9 +51,9 @@ class View:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """One scene by both renderers; `kind` is the class of each pixel, and `BOX` is the last class.
+    """One scene rendered by both; `kind` is the class of each pixel, and `BOX` is the last class.
 
-    `fewer` is by the first renderer with the second's number of samples.
+    `fewer` is the view of the first renderer at the second's number of samples.
     """
 
     first: View
@@ -79,12 +79,12 @@ def study(
     """Render and decode the scenes with both, and compare.
 
     Args:
-        second: ratios are its light over the first's.
-        samples: of the second renderer.
+        second: the ratios are this renderer's light over the first's.
+        samples: number of samples of the second renderer.
         size_px: width and height of the crop of the camera's picture.
 
     Raises:
-        GraycastError: nothing could be decoded in both pictures.
+        GraycastError: no pixel could be decoded in both pictures.
     """
     cell = materials_cell(size_px)
     quality = Quality(samples=samples, footprint=False)

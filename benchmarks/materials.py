@@ -102,7 +102,7 @@ class Worth:
 
 
 def measured(resolution: str, names: Iterable[str] = SCANNERS) -> Iterator[Worth]:
-    """All rows, scanner by scanner, material by material."""
+    """Yield all rows, scanner by scanner and material by material."""
     with open_renderer("mitsuba") as renderer:
         for name in names:
             yield from _of_rig(renderer, name, resolution)

@@ -53,7 +53,7 @@ def page(
 
     Args:
         circumstances: date and machine, as in `__main__`.
-        commit: what is measured.
+        commit: the measured commit.
         names: names of `SECTIONS`; without any, all of them.
     """
     yield "Benchmarks", INTRODUCTION.format(**circumstances, commit=commit).replace("\n", " ")

@@ -48,7 +48,7 @@ def honesty(show: Show) -> str:
 def _cell(renderer: Renderer, scanner: Scanner, scene: Scene, quality: Quality) -> str:
     """Return error over sigma without and with that noise, and the gross errors with it."""
     code = scanner.light_code()
-    # Two renderings cancel interreflection; without phases it moves few columns, so one is enough.
+    # Without phases, two renderings have equal columns, and interreflection changes few of them.
     seeds = (1, 2) if quality.depth > 1 and code.subpixel else (1,)
     shots = [
         renderer.render(scene, EMPTY_LAYOUT, code.render(), quality=quality, seed=seed)
@@ -62,7 +62,7 @@ def _cell(renderer: Renderer, scanner: Scanner, scene: Scene, quality: Quality) 
 
 
 def _error_sigmas(scanner: Scanner, shots: list[Rendering], lights: list[Radiance]) -> np.ndarray:
-    """Return errors in sigmas against the truth, or, of two renderings, against each other."""
+    """Return errors in sigmas against the truth; two renderings cancel interreflection."""
     depths = [scan(scanner, light, seed=seed).depth for seed, light in enumerate(lights)]
     sigma_m = np.hypot(*(depth.sigma_m for depth in depths)) if depths[1:] else depths[0].sigma_m
     other_m = depths[1].depth_m if depths[1:] else shots[0].truth.depth_m

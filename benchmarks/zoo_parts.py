@@ -4,8 +4,8 @@ The built-in parts are five; a drop that lays these five well may fail on a bolt
 of each family of the trade, each closed, counter-clockwise seen from outside, centred on its
 bounding box. Shapes are modelled in millimetres and scaled once; a full turn has 48 facets.
 
-Leaves out: threads (a shank is a cylinder of the nominal diameter, a nut's bore has the thread's
-inner diameter) and symmetries, which no drop needs.
+The parts have no threads (a shank is a cylinder of the nominal diameter, the bore of a nut has the
+thread's inner diameter) and no symmetries, which no drop needs.
 """
 
 from collections.abc import Callable
@@ -89,20 +89,20 @@ def _turned(profile_mm: list[tuple[float | int, float | int]]) -> Manifold:
 
 
 def _hexagon(width_mm: float, height_mm: float) -> Manifold:
-    """A prism on z = 0, `width_mm` across flats."""
+    """Return a prism on z = 0, `width_mm` across flats."""
     corner_mm = width_mm / np.sqrt(3)
     return Manifold.cylinder(height_mm, corner_mm, corner_mm, 6)
 
 
 def _bore(diameter_mm: float, height_mm: float) -> Manifold:
-    """A cylinder on z = 0."""
+    """Return a cylinder on z = 0."""
     return Manifold.cylinder(height_mm, diameter_mm / 2, diameter_mm / 2, SEGMENTS)
 
 
 def _rod(path_mm: Float[np.ndarray, "n 3"], diameter_mm: float, segments: int) -> Manifold:
-    """A round wire along a path, its ends cut square.
+    """Return a round wire along a path with square ends.
 
-    Its cross-section is carried along without turning about the path (Bishop's frame).
+    Its cross-section does not turn about the path (Bishop's frame).
     """
     step = np.diff(path_mm, axis=0)
     step /= np.linalg.norm(step, axis=1, keepdims=True)
@@ -123,7 +123,7 @@ def _rod(path_mm: Float[np.ndarray, "n 3"], diameter_mm: float, segments: int) -
 def _arc(
     center_mm: tuple[float, float], radius_mm: float, from_deg: float, to_deg: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Points of an arc in the plane y = 0, angles counted from x to z."""
+    """Return points of an arc in the plane y = 0; angles are from x to z."""
     steps = int(np.ceil(abs(to_deg - from_deg) / 360 * SEGMENTS))
     turn = np.radians(np.linspace(from_deg, to_deg, steps + 1))
     x, z = center_mm[0] + radius_mm * np.cos(turn), center_mm[1] + radius_mm * np.sin(turn)
@@ -153,7 +153,7 @@ def _countersunk_screw() -> Manifold:
 
 def _rivet() -> Manifold:
     """DIN 660 4 x 10: a domed head 7 mm wide and 2.4 mm high, a shank of 10 mm."""
-    radius = (3.5**2 + 2.4**2) / (2 * 2.4)  # of the sphere that the dome is a cap of
+    radius = (3.5**2 + 2.4**2) / (2 * 2.4)  # radius of the sphere of the dome
     rise = np.arcsin((radius - 2.4) / radius)
     turn = np.linspace(rise, np.pi / 2, 13)
     dome = np.stack([radius * np.cos(turn), 2.4 - radius + radius * np.sin(turn)], axis=1)
@@ -202,7 +202,7 @@ def _tube() -> Manifold:
 
 
 def _elbow() -> Manifold:
-    """A pipe of 22 x 1.5 mm, bent by 90 degrees about 27 mm, with straight ends of 12 mm."""
+    """A pipe of 22 x 1.5 mm, bent by 90 degrees at a radius of 27 mm, straight ends of 12 mm."""
     bend = _arc((0.0, 0.0), 27.0, 0.0, 90.0)
 
     def pipe(diameter_mm: float, end_mm: float) -> Manifold:
@@ -225,7 +225,7 @@ def _tee() -> Manifold:
 def _spring() -> Manifold:
     """A compression spring: wire 1.5 mm, outer diameter 15 mm, length 40 mm, 8 turns.
 
-    A turn at each end is closed: it rises by 1.55 mm, so that the wire does not meet itself.
+    A turn at each end is closed: it rises by 1.55 mm, so that the wire does not touch itself.
     """
     turn = np.linspace(0, 8, 8 * SEGMENTS + 1)
     height = np.interp(turn, [0, 1, 7, 8], [0, 1.55, 36.95, 38.5])
@@ -234,13 +234,13 @@ def _spring() -> Manifold:
 
 
 def _hook() -> Manifold:
-    """An S of 4 mm wire: two arcs of 240 degrees about 10 mm, a straight wire between them."""
+    """An S of 4 mm wire: two arcs of 240 degrees with a radius of 10 mm, and a straight wire."""
     upper, lower = _arc((10.0, 12.0), 10.0, -60.0, 180.0), _arc((-10.0, -12.0), 10.0, 0.0, -240.0)
     return _rod(np.vstack([upper, lower]), 4.0, WIRE_SEGMENTS)
 
 
 def _chain() -> Manifold:
-    """Four rings of 2.5 mm wire about 8 mm, each through the next, stiff as one part."""
+    """Four linked rings of 2.5 mm wire with a radius of 8 mm, as one rigid part."""
     ring = _torus(8.0, 2.5)
     rings = [ring.rotate((90 * (i % 2), 0, 0)).translate((12.0 * i, 0, 0)) for i in range(4)]
     return Manifold.compose(rings)
@@ -250,7 +250,7 @@ def _chain() -> Manifold:
 
 
 def _sheet_bracket() -> Manifold:
-    """An L of 2 mm sheet, 40 x 30 mm and 30 mm wide, bent about 2 mm; two 5 mm bores a side."""
+    """An L of 2 mm sheet, 40 x 30 mm and 30 mm wide, bend radius 2 mm; two 5 mm bores per leg."""
     turn = np.radians(np.linspace(270, 180, SEGMENTS // 4 + 1))
     inner = np.stack([4 + 2 * np.cos(turn), 4 + 2 * np.sin(turn)], axis=1)
     outer = np.stack([4 + 4 * np.cos(turn), 4 + 4 * np.sin(turn)], axis=1)

@@ -86,10 +86,7 @@ SHINY_CODES = {
 
 
 def shiny(*, strength: float) -> Float[np.ndarray, "h w"]:
-    """Return white light [DN] of brushed metal: lognormal streaks and highlights.
-
-    At 3 sigma, the light is `strength` times the range.
-    """
+    """Return lognormal light [DN] of brushed metal, at 3 sigma `strength` times the range."""
     rng = np.random.default_rng(5)
     texture = gaussian_filter(rng.normal(size=SHAPE), (1.0, 12.0)) + gaussian_filter(
         rng.normal(size=SHAPE), 9.0

@@ -67,7 +67,7 @@ def random_cell(rng: np.random.Generator, folder: Path | None) -> tuple[Cell, Cr
 
 
 def measured(cell: Cell, renderer, *, seed: int) -> BinView:
-    """Measure the bin, with its remaining parts, by the camera."""
+    """Simulate a scan of the bin with its remaining parts."""
     shot = make_scene(cell, 0, seed=seed, renderer=renderer)
     return BinView(
         name="simulated", camera=cell.scene.rig.camera, depth_m=shot.sample.scanner_depth.depth_m

@@ -43,9 +43,9 @@ def study(
     """Measure errors of decoded depth for several numbers of samples and denoisers.
 
     Args:
-        converging: makes Cycles' reference in one band: with three patterns per render.
+        converging: Cycles with three patterns per render, for its reference in one band.
         count: brackets in the box.
-        most: the largest number of samples, from which each fourth part of the reference is.
+        most: the largest number of samples; the reference has `REFERENCE_FACTOR` times as many.
     """
     cell = bracket_cell(count, GRAY, size_px, rig="paper")
     red = bracket_cell(count, GRAY, size_px, rig="like-phoxi-m")

@@ -32,7 +32,7 @@ def result(column, depth_m, valid):
 
 
 def test_each_kind_of_error_is_counted_in_shares_of_the_reference():
-    """Of 100 pixels, 80 have depth: 4 are wrong by two columns and 10 mm, 8 are lost, 5 are extra.
+    """80 of 100 pixels have depth: 4 are wrong by two columns and 10 mm, 8 are lost, 5 are extra.
     All others have an error of one column and 3 mm, which does not count as wrong.
     """
     column, depth_m = np.full((10, 10), 30.0), np.full((10, 10), 0.7)

@@ -52,7 +52,7 @@ def slow(painted, clock, **words):
 
 
 def test_an_extrapolated_stack_takes_as_long_as_a_rendered_stack(painted, clock):
-    """Of 13 patterns, 11 are neither white nor black. One pass takes 0.5 + 1.6 s; Cycles takes
+    """Without white and black, 11 of 13 patterns remain. One pass takes 0.5 + 1.6 s; Cycles takes
     7 + 11 * 16 s, or 7 + 4 * 32 s with three patterns per render.
     """
     three = slow(painted, clock, name="cycles", start_s=7, per_sample_s=2, patterns_per_render=3)

@@ -16,6 +16,7 @@ COLORS = ("red", "green", "blue")
 CAMERA_FRAME = "metres, camera frame: x right, y down, z forward"
 WORLD_FRAME = "metres, world frame: z up, from the middle of the bin's inner floor"
 _TYPES = {"uchar": "u1", "int": "i4", "float": "f4"}
+_FORMATS = ("binary_little_endian", "binary_big_endian", "ascii")
 
 
 def header(
@@ -101,8 +102,14 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
     """
     from trimesh.exchange.ply import load_ply  # The import takes long, and writers do not need it.
 
-    lines, _ = split(path)
-    names = {line.split()[-1] for line in lines if line.startswith("property ")}
+    lines, body = split(path)
+    form = next(
+        (line[7:].partition(" ")[0] for line in lines if line.startswith("format ")), "none"
+    )
+    if form not in _FORMATS:
+        raise DatasetError(f"{path}: format is {form}: choose one of {', '.join(_FORMATS)}")
+    vertex_lines = "\n".join(lines).partition("\nelement vertex ")[2].partition("\nelement ")[0]
+    names = {line.split()[-1] for line in vertex_lines.splitlines() if line.startswith("property ")}
     if missing := set("xyz") - names:
         raise DatasetError(f"{path}: its vertices have no {', '.join(sorted(missing))}")
     try:
@@ -114,9 +121,22 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
             f"{path}: its vertices cannot be read ({error}): export or copy the file again"
         ) from error
     count = int(vertex["length"])
-    if any(len(column) != count or column.dtype == object for column in table.values()):
+    whole = all(len(column) == count and column.dtype != object for column in table.values())
+    if form == "ascii":  # trimesh ignores numbers beyond those that the header names.
+        whole &= _row_sizes(lines, body) <= {len(table)}
+    if not whole:
         raise DatasetError(
             f"{path}: its rows are not the {count} vertices that its header states: export or copy "
             "the file again"
         )
     return lines, table, count
+
+
+def _row_sizes(lines: Sequence[str], body: bytes) -> set[int]:
+    """Return the numbers of words in the rows of an ASCII file's vertices."""
+    elements = [line.split()[1:3] for line in lines if line.startswith("element ")]
+    names = [name for name, _ in elements]
+    counts = [int(count) for _, count in elements]
+    first = sum(counts[: names.index("vertex")])
+    rows = body.splitlines()[first : first + counts[names.index("vertex")]]
+    return {len(row.split()) for row in rows}

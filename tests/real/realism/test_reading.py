@@ -225,6 +225,10 @@ def test_an_unorganised_ply_is_refused_with_what_is_missing(tmp_path, depth_m):
     for end in (b"", b"\n0 0\n"):
         path.write_bytes(rows + end)
         assert "its rows are not the 1200 vertices that its header states" in refusal(path)
+    path.write_bytes(rows + b"\n0 0 0 0\n")
+    assert "its rows are not the 1200 vertices that its header states" in refusal(path)
+    path.write_bytes(data.replace(b"format binary", b"format morse"))
+    assert "format is morse_little_endian: choose one of binary_little_endian, " in refusal(path)
     path.write_bytes(data.replace(b"property float z", b"property float w"))
     assert "have no z" in refusal(path)
     path.write_bytes(b"solid cube")

@@ -55,8 +55,8 @@ def _lines(section: Any) -> Iterator[str]:
     """
     for name, info in section.model_fields.items():
         hint, default = info.annotation, _default(info, MISSING)
-        if hint in (Any, object) and default is not MISSING:
-            hint = type(default)  # The section was made at run time, so no annotation names it.
+        if isinstance(default, BaseModel) and not get_args(hint):
+            hint = type(default)  # A section made at run time is in no annotation.
         about = (_first_sentence(kind) for kind in _sections_in(hint))
         yield field_line(name, hint, default, info.description or next(about, ""))
 

@@ -209,7 +209,7 @@ def _array(
     key = _find(content, role, path)
     if key is None:
         keys = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
-        accepted = ", ".join(" or ".join(_KEYS[name]) for name in _KEYS)
+        accepted = ", ".join(map(_listed, _KEYS))
         raise ConfigError(
             f"{path}: no {role} (the file holds {keys}): name its key {_listed(role)}; the keys "
             f"that are read, from camera and projector in one file, are {accepted}"

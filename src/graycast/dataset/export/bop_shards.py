@@ -41,7 +41,7 @@ def write_split(
 def write_rest(
     folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
 ) -> None:
-    """What belongs to the dataset as a whole: each scanner's camera, and the models."""
+    """Write the files of the whole dataset: each scanner's camera, and the models."""
     for name in (camera_file(sensor) for sensor in stored.sizes_px):
         camera = parse_json((stored.folder / name).read_bytes())
         camera |= {key: camera[key] + options.shift_px for key in ("cx", "cy")}

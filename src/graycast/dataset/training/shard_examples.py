@@ -76,7 +76,7 @@ def _bop_labels(files: Files, record: ExportRecord, scene_id: int, name: str) ->
 
 
 def _index(folder: Path) -> dict[str, dict[str, Place]]:
-    """Where each member of each sample lies, by key and ending, from the headers of all shards.
+    """Return the place of each member of each sample, by key and ending, from all shards' headers.
 
     Raises:
         DatasetError: there is no shard, or one is cut off.

@@ -415,12 +415,12 @@ generate(
 
 
 @pytest.mark.slow
-def test_memory_is_constant_over_200_scenes(config_file, tmp_path):
+def test_memory_is_constant_over_500_scenes(config_file, tmp_path):
     """Resident memory of the last tenth of the scenes is compared with the second tenth."""
-    command = [sys.executable, "-c", _MEMORY, str(config_file), str(tmp_path / "out"), "200"]
+    command = [sys.executable, "-c", _MEMORY, str(config_file), str(tmp_path / "out"), "500"]
     rss = [int(line) for line in subprocess.check_output(command, text=True).split()]
-    assert len(rss) == 200
-    assert np.median(rss[180:]) <= 1.03 * np.median(rss[20:40])
+    assert len(rss) == 500
+    assert np.median(rss[450:]) <= 1.05 * np.median(rss[50:100])
 
 
 @pytest.mark.slow

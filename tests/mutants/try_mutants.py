@@ -24,26 +24,21 @@ from graycast.base.kernels import kernel_folder
 ROOT = Path(__file__).resolve().parents[2]
 LIST = Path(__file__).with_name("mutants.txt")
 KERNELS = "kernels"  # The copy keeps its compiled kernels in this folder.
-SLOW = "slow "  # Before the tests of a bug, this word asks their slow ones.
 
 
 @dataclass(frozen=True, slots=True)
 class Bug:
-    """`text` stands once in `src/graycast/FILE`; `tests` are arguments of pytest under `tests/`.
-
-    `slow` is whether the slow ones of these tests are asked, and not the quick ones.
-    """
+    """`text` occurs once in `src/graycast/FILE`; `tests` are arguments of pytest under `tests/`."""
 
     bug: str
     file: str
     text: str
     replaced_by: str
     tests: str
-    slow: bool
 
 
 def planted() -> list[Bug]:
-    """The bugs of `mutants.txt`, which says how they are written down."""
+    """Return the bugs of `mutants.txt`, whose head describes the format."""
     bugs = []
     for paragraph in LIST.read_text(encoding="utf-8").split("\n\n"):
         lines = [line for line in paragraph.splitlines() if not line.startswith("#")]
@@ -52,9 +47,7 @@ def planted() -> list[Bug]:
             gone, come = ([line[2:] for line in lines[2:] if line[0] == sign] for sign in "-+")
             end = "" if come else "\n"
             text, other = "\n".join(gone) + end, "\n".join(come)
-            slow, tests = tests.startswith(SLOW), tests.removeprefix(SLOW)
-            bug = Bug(bug=lines[0], file=file, text=text, replaced_by=other, tests=tests, slow=slow)
-            bugs.append(bug)
+            bugs.append(Bug(bug=lines[0], file=file, text=text, replaced_by=other, tests=tests))
     return bugs
 
 
@@ -71,11 +64,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="graycast-mutants-") as folder:
         copy = Path(folder)
         copy_tree(copy)
-        print(f"{len(bugs)} bugs; first their tests without any", flush=True)
-        for slow in (False, True):
-            sound = {test for bug in bugs if bug.slow == slow for test in bug.tests.split()}
-            if sound and (failed := failing_test(copy, sorted(sound), slow=slow)) is not None:
-                sys.exit(f"the tests fail without any bug: {failed}")
+        print(f"{len(bugs)} bugs; first their quick tests without any bug", flush=True)
+        tests = sorted({test for bug in bugs for test in bug.tests.split()})
+        if tests and (failed := failing_test(copy, tests)) is not None:
+            sys.exit(f"the tests fail without any bug: {failed}")
         survivors = [bug for bug in bugs if not noticed(copy, bug, all_tests=options.all_tests)]
     print(f"{len(bugs) - len(survivors)} of {len(bugs)} bugs are noticed")
     for bug in survivors:
@@ -107,12 +99,16 @@ def noticed(copy: Path, bug: Bug, *, all_tests: bool) -> bool:
     path.write_text(broken, encoding="utf-8")
     start = time.monotonic()
     try:
-        failed = failing_test(copy, bug.tests.split(), slow=bug.slow)
-        if failed is None and all_tests:
+        failed = failing_test(copy, bug.tests.split())
+        slow = failing_test(copy, bug.tests.split(), slow=True) if failed is None else None
+        if failed is None and slow is None and all_tests:
             failed = failing_test(copy, [""])
     finally:
         path.write_text(sound, encoding="utf-8")
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    if slow is not None and failing_test(copy, [slow.removeprefix("tests/")], slow=True):
+        sys.exit(f"the test fails without any bug: {slow}")
+    failed = failed or slow
     seconds = time.monotonic() - start
     print(f"{'noticed ' if failed else 'SURVIVES'} {seconds:4.0f} s  {bug.bug}", flush=True)
     print(f"                   {failed or bug.tests}", flush=True)
@@ -120,7 +116,7 @@ def noticed(copy: Path, bug: Bug, *, all_tests: bool) -> bool:
 
 
 def failing_test(copy: Path, tests: list[str], *, slow: bool = False) -> str | None:
-    """The first test that fails, if any does."""
+    """Return the first of the quick, or of the slow, tests that fails; None if all pass."""
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-x", "-rfE", "--tb=no", "-p", "no:cacheprovider"]
         + (["-m", "slow and not gpu"] if slow else [])

@@ -92,6 +92,7 @@ def imports_of_syntax(module: str) -> set[str]:
     return names & package_files().keys()
 
 
+@pytest.mark.slow
 def test_the_imports_that_a_digest_uses_are_those_that_python_parses():
     """Oracle: Python's own parser."""
     assert len(WITH_KERNELS) > 25

@@ -242,6 +242,7 @@ def test_an_array_file_shorter_than_its_header_states_is_refused(tmp_path):
         read_intrinsics(str(tmp_path / "a.npy"))
 
 
+@pytest.mark.slow
 def test_a_calibration_that_unpacks_to_gigabytes_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "c.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         with archive.open("K1.npy", "w") as file:

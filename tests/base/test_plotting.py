@@ -19,6 +19,7 @@ class Broken(Figure):
         raise OSError(28, "No space left on device")
 
 
+@pytest.mark.slow
 def test_a_figure_is_written_at_its_resolution_and_has_the_same_bytes_each_time(tmp_path):
     for name in ("a.png", "b.png"):
         save_png(plain_figure(2.0, 1.0, (1, 2))[0], tmp_path / name, dpi=50)

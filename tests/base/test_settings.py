@@ -174,6 +174,7 @@ def test_aliases_that_would_fill_the_memory_are_refused_at_once(tmp_path, text, 
     assert seconds < 0.5 and bytes_ < 10_000_000
 
 
+@pytest.mark.slow
 def test_ordinary_aliases_and_long_files_are_read():
     text = "a: &a {x: 1, y: [1, 2]}\nb: *a\nc: {<<: *a, x: 3}\nd: [*a, *a]\n"
     a = {"x": 1, "y": [1, 2]}
@@ -208,6 +209,7 @@ def test_the_description_of_a_key_is_that_of_its_annotation_even_inside_lists_an
     assert {key: setting_description(Shop, key) for key in texts} == texts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

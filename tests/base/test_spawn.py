@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 SCRIPT = """
 import math
 from concurrent.futures import ProcessPoolExecutor
@@ -18,6 +20,7 @@ print(sys.modules["__main__"].SCRIPT_IS_HERE)
 """
 
 
+@pytest.mark.slow
 def test_a_script_without_a_main_guard_runs_only_once(tmp_path):
     """Plain `spawn` fails: each process would start others before it is ready."""
     script = tmp_path / "script.py"

@@ -26,6 +26,7 @@ def worker():
     child.communicate()
 
 
+@pytest.mark.slow
 def test_a_childs_time_and_memory_count(worker):
     """The child works for 0.3 s, partly perhaps before the first look; ticks are of 0.01 s."""
     before_s = cpu_s()

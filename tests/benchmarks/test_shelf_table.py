@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import pytest
+
 from benchmarks.shelf import END, START, with_table
 from graycast.rig.shelf import SHELF, measured
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/reference/shelf.md"
 
 
+@pytest.mark.slow
 def test_the_page_has_the_stored_figures():
     page = PAGE.read_text()
     assert with_table(page, measured().scanners) == page

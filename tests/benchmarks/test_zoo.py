@@ -37,6 +37,7 @@ def at(x_m: float, z_m: float, turn=None):
     return rigid(np.eye(3) if turn is None else turn, np.array([x_m, 0.0, z_m]))
 
 
+@pytest.mark.slow
 def test_two_rods_on_each_other_stay_where_they_lie():
     layout = lying(at(0, 0.01 + SKIN_M), at(0.03, 0.03 + 3 * SKIN_M))
     assert unbalanced_m(BIN, (rod(),), layout).max() < 20e-6

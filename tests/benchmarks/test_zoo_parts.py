@@ -138,6 +138,7 @@ def test_a_part_of_the_zoo_is_closed_and_has_the_volume_of_its_dimensions(name):
     assert mesh.volume == pytest.approx(volume, rel=share)
 
 
+@pytest.mark.slow
 def test_the_rings_of_the_chain_are_linked_and_do_not_touch():
     """Oracle: the circles' closest distance by sampling; Gauss's linking number is 1 or 0."""
     angle = 2 * np.pi * np.arange(400) / 400

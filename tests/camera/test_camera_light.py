@@ -81,6 +81,7 @@ def test_the_veil_is_linear_and_does_not_blur_the_rest():
     assert np.array_equal(veiled(a, 0.0), a)
 
 
+@pytest.mark.slow
 def test_the_halo_of_a_light_is_the_mean_of_gaussians_of_all_octaves():
     """Oracle: SciPy's filter at full resolution with mirrored borders, far from the light, where
     the pixels of the small picture do not matter.

@@ -96,6 +96,7 @@ def test_line_noise_without_the_positions_of_light_is_refused_by_name(scanner, r
         take(scanner, replace(radiance, place_px=None), seed=1)
 
 
+@pytest.mark.slow
 def test_positions_scatter_by_the_closed_form_and_equally_along_a_line(scanner, radiance):
     """(p / 2 pi) share sqrt(5 / (2 N)): sums over sin and cos, as in the module, done by hand.
 
@@ -112,6 +113,7 @@ def test_positions_scatter_by_the_closed_form_and_equally_along_a_line(scanner, 
     assert abs(neighbours) < 0.1  # each line has its own error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length_px", [1.0, 3.0])
 def test_errors_with_a_length_correlate_only_over_that_length(scanner, radiance, length_px):
     """The law is exp(-(r / l)^2) along a line; the scatter stays that of whole lines."""
@@ -147,6 +149,7 @@ def test_lines_along_rows_also_have_a_length(scanner, radiance):
     np.testing.assert_array_equal(upright, lying.swapaxes(1, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words", [{"period_px": 48.0, "fine_period_px": 16.0}, {"codec": "multi_frequency"}]
 )
@@ -157,6 +160,7 @@ def test_several_periods_scatter_less_by_their_mean(scanner, words):
     assert np.sqrt(u.var(axis=0, ddof=1).mean()) == pytest.approx(stated_px, rel=0.08)
 
 
+@pytest.mark.slow
 def test_sigma_agrees_with_the_error_of_line_noise(scanner, radiance):
     _, scans = places(scanner, radiance, range(12))
     inner = np.s_[2:-2, 2:-2]

@@ -20,6 +20,7 @@ def returns(measured, spec):
     return all(abs(getattr(measured, n) / getattr(spec, n) - 1) < 0.02 for n in names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spec", "side_px"),
     [

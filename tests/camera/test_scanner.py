@@ -130,6 +130,7 @@ def test_exposures_are_merged_if_several_are_configured(rig, flat_light):
     assert not (codes.reason == 3).any()
 
 
+@pytest.mark.slow
 def test_exposures_have_independent_noise(flat_light, monkeypatch):
     """Oracle: independent noise is not correlated; for 80,000 pixels, 0.02 is six deviations."""
     taken = []
@@ -142,6 +143,7 @@ def test_exposures_have_independent_noise(flat_light, monkeypatch):
     assert abs(np.corrcoef(bright, dim)[0, 1]) < 0.02
 
 
+@pytest.mark.slow
 def test_automatic_exposure_measures_all_light_of_the_brightest_frame(flat_light):
     """Lamps give as much light as the projector: both together reach the target."""
     scanner = Scanner(rig=preset_rig("paper", "small"), exposure=ExposureSpec(target=0.6))

@@ -79,6 +79,7 @@ def patches(low, high, rng):
     return np.kron(rng.uniform(low, high, (h, w)), np.ones((PATCH_PX, PATCH_PX)))
 
 
+@pytest.mark.slow
 def test_a_plane_in_direct_light_is_decoded_in_all_pixels(scanner):
     z_m, place = facing_plane(scanner)
     depth = scan(scanner, light(scanner, place, place, 0.0), seed=1).depth
@@ -95,6 +96,7 @@ def test_a_mirror_image_of_another_position_is_off_its_epipolar_line(scanner):
     assert not np.isfinite(result.depth.depth_m).any()
 
 
+@pytest.mark.slow
 def test_presets_refuse_wrong_pixels_in_mixed_light_but_a_plain_decoder_does_not(scanner):
     """The other position is up to 200 columns and rows away, with any share of the light, blurred
     by 5 pixels. (A preset cannot detect a sharp mirror image below a fifth of the light: no value

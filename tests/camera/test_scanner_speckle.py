@@ -67,6 +67,7 @@ def test_errors_on_black_and_on_white_agree_with_sigma(scanner, light, reflectan
     assert 0.9 < np.sqrt(np.nanmean(error_m**2)) / stated_m < 1.1
 
 
+@pytest.mark.slow
 def test_an_uneven_finish_gives_the_noise_tails_but_no_more_power(scanner, light, monkeypatch):
     """Noise of log-normal amplitude has the kurtosis `3 exp(4 u^2)` and unchanged power, which
     sigma states; the noise of photons is even.

@@ -268,6 +268,7 @@ def pattern_of(mean_e, spec, *, seed):
     return stored - spec.gain_dn_per_e * mean_e - spec.offset_dn
 
 
+@pytest.mark.slow
 def test_offsets_and_gains_have_the_configured_fixed_pattern():
     """DSNU is constant; PRNU is proportional to the signal."""
     spec = sensor(dsnu_e=3.0, prnu=0.01, read_noise_e=1.0)
@@ -283,6 +284,7 @@ def test_offsets_and_gains_have_the_configured_fixed_pattern():
         assert stats.kstest(pattern.ravel() / pattern.std(), "norm").pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_the_fixed_pattern_belongs_to_the_sensor_and_not_to_the_capture():
     spec = sensor(dsnu_e=10.0)
     first, second = (pattern_of(0.0, spec, seed=seed) for seed in (1, 2))
@@ -351,6 +353,7 @@ def test_all_frames_of_a_pixel_are_from_one_exposure():
     assert merged.exposure_s.tolist() == [[0.5]] and (merged.frames == full).all()
 
 
+@pytest.mark.slow
 def test_captures_of_different_scenes_are_not_merged():
     one, two = scene_capture(1.0), scene_capture(2.0)
     with pytest.raises(ValueError, match="at least one"):

@@ -45,6 +45,7 @@ def test_the_number_of_speckles_per_pixel_agrees_with_goodman(sensor):
     assert pixel_contrast(sensor) ** 2 == pytest.approx(root**2, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_speckle_of_a_round_pupil_gives_the_same_contrast_within_8_percent():
     """Oracle: random phases through a round pupil by Fourier transform, summed over pixels. The
     Gaussian of the law lacks the rings of Airy's pattern: 6 % at two speckles per pixel.

@@ -190,6 +190,7 @@ def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):
     assert large.symmetry.continuous[0][1] == pytest.approx((0.0102, 0.0, 0.0))
 
 
+@pytest.mark.slow
 def test_a_symmetry_is_stated_as_rotations_or_detected_in_the_shape(tmp_path):
     """A box is off the origin: rotations are about the middle of its own box unless stated."""
     beside = trimesh.creation.box((20.0, 30.0, 60.0)).apply_translation([50.0, 10.0, 0.0])
@@ -217,6 +218,7 @@ def test_a_symmetry_s_axis_may_have_any_length(tmp_path):
     assert point_m == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_the_rig_is_placed_where_the_view_says(tmp_path):
     """The middle of the baseline is above the target by the distance, and aside by its tilt."""
     for view, middle_m in (
@@ -443,6 +445,7 @@ def test_a_schema_is_closed_and_consistent(schema):
                 assert faults(of["default"], of, schema, key) == []
 
 
+@pytest.mark.slow
 def test_every_setting_is_refused_when_it_is_misspelt(tmp_path):
     """Two letters of each key of each section are swapped; the right key is suggested."""
     sections = Config.model_json_schema()

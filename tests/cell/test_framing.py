@@ -62,6 +62,7 @@ def test_the_chosen_scanner_sees_every_corner_of_the_bin_and_cannot_be_closer(le
     assert not is_inside(framing.rig, nearer, box)
 
 
+@pytest.mark.slow
 def test_no_scanner_of_the_shelf_fills_its_picture_much_better():
     """Every distance of every scanner is tried, with OpenCV's projection."""
     box, best = BUSHING_BIN, 0.0

@@ -90,6 +90,7 @@ def test_the_same_command_in_another_folder_makes_the_same_files(cell, undisturb
     assert content(tmp_path / "out") == content(undisturbed)
 
 
+@pytest.mark.slow
 def test_scenes_differ_from_each_other_and_between_seeds(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=1, seed=1)
     pictures = [
@@ -108,6 +109,7 @@ def test_scenes_differ_from_each_other_and_between_seeds(cell, undisturbed, tmp_
     assert np.abs(np.subtract(*poses)).max() > 1.0  # millimetres
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools
 def test_scenes_without_parts_are_pictures_of_the_empty_bin(tmp_path):
     """Seed 0 draws 1 part for scene 0 and none for scene 1; both are used like other scenes."""
@@ -139,6 +141,7 @@ def test_a_second_run_writes_nothing_and_reports_it(cell, undisturbed, tmp_path)
     assert content(tmp_path / "out") == content(undisturbed)
 
 
+@pytest.mark.slow
 def test_scenes_added_later_equal_those_of_a_single_run(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=1)
     summary, count, ids = run(cell, tmp_path / "out", scenes=3)
@@ -163,6 +166,7 @@ def test_a_deleted_scene_is_made_again_with_the_same_files(cell, undisturbed, tm
     assert content(tmp_path / "out") == content(undisturbed)
 
 
+@pytest.mark.slow
 def test_a_changed_mesh_with_the_same_name_is_noticed(undisturbed, tmp_path, capsys):
     shutil.copytree(undisturbed, tmp_path / "out")
     changed = write_cell(tmp_path)
@@ -327,6 +331,7 @@ def test_a_run_continues_if_other_scenes_succeeded_however_many_fail(
     assert validate(out) == ()
 
 
+@pytest.mark.slow
 def test_rerender_reproduces_a_scene_and_names_a_changed_file(cell, undisturbed, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(undisturbed, out)
@@ -349,6 +354,7 @@ def test_rerender_reproduces_a_scene_and_names_a_changed_file(cell, undisturbed,
         rerender(cell, out, 1, seed=5, device="cpu")
 
 
+@pytest.mark.slow
 def test_the_command_rerender_needs_only_the_dataset(config_file, undisturbed, tmp_path, capsys):
     again = ["dataset", "rerender", str(undisturbed), "--scene", "1", "--device", "cpu"]
     assert main(again) == 1

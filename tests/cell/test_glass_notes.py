@@ -7,6 +7,7 @@ from graycast.cell.resolve import load_cell
 from graycast.cli.command import main
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("surface", "notes"), [("glass-clear", 1), ("pmma-clear", 1), ("plastic", 0)]
 )

@@ -23,6 +23,7 @@ def test_the_text_of_a_configuration_lists_all_units():
     assert set(get_args(Unit)) == set(UNITS_M)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [slow("a: b #1.stl"), 'it\'s "big" {v2}.stl', slow("größe, 5 %.stl")]
 )
@@ -37,6 +38,7 @@ def test_file_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
     assert cell.scene.parts[0].source == name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surface", ["plastic", "steel", "cardboard"])
 def test_a_new_cell_is_read_with_the_values_that_were_written(tmp_path, monkeypatch, surface):
     monkeypatch.chdir(tmp_path)

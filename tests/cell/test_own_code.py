@@ -24,6 +24,7 @@ def listed(cell, **change):
     return spec, replace(spec.code(projector.width_px, projector.height_px), **change)
 
 
+@pytest.mark.slow
 def test_a_code_given_as_frames_measures_like_the_named_one(cell, mitsuba_renderer):
     spec, code = listed(cell)
     named = replace(cell, scanner=replace(cell.scanner, code=spec))
@@ -35,6 +36,7 @@ def test_a_code_given_as_frames_measures_like_the_named_one(cell, mitsuba_render
     assert b.sample.manifest["own"]["code"]["frames"][2]["bit"] == 6  # after white and black
 
 
+@pytest.mark.slow
 def test_a_dataset_of_an_own_code_records_it_and_is_not_continued_without_it(
     cell, tmp_path, mitsuba_renderer
 ):

@@ -40,6 +40,7 @@ def positions(cell, sensor, scenes=12):
     return np.array([[e.T_world_cam[:3, 3] for e in each if e.sensor == sensor] for each in every])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "views",
     [
@@ -113,6 +114,7 @@ DOMAINS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", DOMAINS)
 def test_a_domain_moves_each_scanner_independently_and_a_mounted_one_with_the_first(tmp_path, kind):
     views = [{"distance_m": 1.0}, {"distance_m": 1.0, "tilt_deg": 10}]

@@ -32,6 +32,7 @@ def middles(cell, T_world_cam):
     return T[:, :3, 3], T[:, :3, 2]
 
 
+@pytest.mark.slow
 def test_each_view_of_a_list_gives_the_pose_of_the_same_single_view(tmp_path):
     one = {"tilt_deg": 20.0, "azimuth_deg": 50.0}
     cell = resolved(tmp_path, views=[{}, one])
@@ -130,6 +131,7 @@ def test_scanners_of_the_shelf_are_moved_to_several_poses(tmp_path):
     assert len(cell.images) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "views",
     [

@@ -319,6 +319,7 @@ def test_thousands_of_threads_are_refused_with_a_clear_error(capsys, tmp_path):
     assert not (tmp_path / "d").exists()
 
 
+@pytest.mark.slow
 def test_help_does_not_load_heavy_modules():
     program = """
 import sys
@@ -334,6 +335,7 @@ sys.exit(f"loaded: {sorted(heavy & set(sys.modules))}" if heavy & set(sys.module
     assert (ran.returncode, ran.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_the_installed_command_is_this_program_and_prints_its_version():
     (script,) = entry_points(group="console_scripts", name="graycast")
     assert script.load() is main
@@ -470,6 +472,7 @@ def test_preview_draws_the_scene_and_counts_pixels_as_the_dataset_does(
         assert np.std(np.array(picture.convert("L"))) > 10
 
 
+@pytest.mark.slow
 def test_parts_lists_the_built_in_parts_or_those_of_a_configuration(capsys, cell_and_dataset):
     builtin = run(capsys, "parts")
     for name in ("metal_workpiece_1", "toothpaste", "yellow_salt_cube"):
@@ -636,6 +639,7 @@ def test_schema_prints_json(capsys, kind, model):
     assert json.loads(run(capsys, "schema", kind)) == json.loads(json.dumps(schema))
 
 
+@pytest.mark.slow
 def test_doctor_ends_with_its_verdict(capsys, monkeypatch):
     trial = Trial(device="llvm", seconds=0.0, denoiser="cpu")
     monkeypatch.setattr(doctor, "try_device", lambda device: trial)
@@ -703,6 +707,7 @@ def test_bash_completes_commands_options_choices_and_files(capsys, tmp_path, typ
     assert sorted(done.stdout.split()) == offered
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoding", "name"),
     [

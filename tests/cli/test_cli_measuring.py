@@ -174,6 +174,7 @@ def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_p
     assert 0.8 * len(np.unique(pixels, axis=0)) < averaged <= len(np.unique(pixels, axis=0))
 
 
+@pytest.mark.slow
 def test_decode_adds_no_fault_of_the_rig(decoded, capsys, tmp_path):
     rig, folder, out, _ = decoded
     faulty = Scanner(rig=rig, faults=FaultSpec(raster_px=1.0))
@@ -357,6 +358,7 @@ def test_the_message_of_a_stopped_command_without_scenes_mentions_none(capsys, m
     assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 
 
+@pytest.mark.slow
 def test_patterns_of_the_rig_s_own_codec_keep_its_period(capsys, tmp_path):
     """like-phoxi-s shows periods of 48 px; naming its codec once gave the codec's default of 16."""
     run(capsys, "rig", "patterns", "like-phoxi-s", "--codec", "gray_phase", "--out", tmp_path)

@@ -64,6 +64,7 @@ def test_a_wrong_licence_is_refused_before_the_dataset_is_read(capsys, tmp_path)
     assert "mine" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_scanner_depth_is_scored_against_the_truth(copied, samples, capsys, tmp_path):  # noqa: F811
     """Oracle: the errors of the written samples."""
     out = tmp_path / "depth"
@@ -123,6 +124,7 @@ def test_a_former_format_of_exports_names_the_one_to_take(capsys, former):
     )
 
 
+@pytest.mark.slow
 def test_maps_of_reasons_are_read_with_depth(capsys, tmp_path):
     """Two thirds of the depth are missing, half of them for each of two reasons."""
     depth_m = np.full((60, 90), np.nan)

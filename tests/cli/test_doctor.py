@@ -55,6 +55,7 @@ def test_memory_and_cores_agree_with_the_system(examined):
     assert report["CPU"].startswith(f"{len(os.sched_getaffinity(0))} cores")
 
 
+@pytest.mark.slow
 def test_a_missing_package_is_reported_with_its_remedy_and_use(monkeypatch, no_trial):
     monkeypatch.setattr(doctor, "_PACKAGES", {"no-such-package-here": "flying"})
     text = describe(examine())
@@ -64,6 +65,7 @@ def test_a_missing_package_is_reported_with_its_remedy_and_use(monkeypatch, no_t
     assert text.endswith("This machine is not ready: install what is marked MISSING above.")
 
 
+@pytest.mark.slow
 def test_a_bad_library_named_by_the_user_is_a_finding_and_no_error(monkeypatch, no_trial):
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/gone/libLLVM-19.so")
     findings = {finding.name: finding for finding in examine()}
@@ -82,6 +84,7 @@ def test_missing_optional_packages_do_not_make_the_program_unready():
     ]
 
 
+@pytest.mark.slow
 def test_a_gpu_is_named_with_its_driver(monkeypatch, no_trial):
     state = CudaState(devices=("NVIDIA A", "NVIDIA B"), driver_cuda="12.8", has_optix=True)
     monkeypatch.setattr(doctor, "examine_cuda", lambda: state)

@@ -128,6 +128,7 @@ DARK = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["far", slow("farther than its range"), "unlit"])
 def test_a_run_in_which_nothing_is_decoded_ends_with_the_reason(tmp_path, capsys, case):
     changes, words = DARK[case]

@@ -236,6 +236,7 @@ def test_the_rig_is_that_of_the_first_scanner(copy):
 
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_poses_are_scored_in_their_own_image(dataset_and_samples, tmp_path):
     """True poses of both images of the first scanner score 1; those of exchanged images do not."""

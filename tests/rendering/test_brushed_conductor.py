@@ -127,6 +127,7 @@ def test_weights_are_value_over_density(cpu_device, roughness, anisotropy, angle
     assert np.abs(value / again / weight - 1).max() < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "anisotropy"), [(0.5, 0.6), (0.6, 0.9)])
 @pytest.mark.parametrize(("angle_deg", "turn_deg"), [(0, 0), (50, 25), slow(75, 80)])
 def test_densities_integrate_to_one_and_samples_follow_them(
@@ -136,6 +137,7 @@ def test_densities_integrate_to_one_and_samples_follow_them(
     assert_samples_fall_where_densities_say(bsdf, wi, fine=1024)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [0, 60])
 def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
     """The reflected light and its mean direction, from samples and from a sum of values."""
@@ -148,6 +150,7 @@ def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
         assert (np.abs(moment.mean(axis=-1) - same.mean(axis=-1)) < 5 * error).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "limit"), [(0.3, 1.05), (0.5, 1.04)])
 def test_the_error_of_reciprocity_is_below_the_documented_one(cpu_device, roughness, limit):
     """The table in docs/explanation/light.md: within 60 degrees, at anisotropy 0.8."""

@@ -87,6 +87,7 @@ def lit_walls(renderer, *surfaces, pattern, seeds, samples=64):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.01, slow(0.05)])
 def test_a_mirror_lights_the_wall_as_the_projector_s_mirror_image_does(mitsuba_renderer, roughness):
     """Irradiance, edges and columns in closed form; facets blur the edges by one or two pixels."""
@@ -237,6 +238,7 @@ def test_each_kind_of_path_alone_gives_the_same_energy(mitsuba_renderer, monkeyp
     assert np.abs(a.mean(axis=0) / b.mean(axis=0) - 1).max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_matt_room_is_the_same_with_both_kinds_of_paths(mitsuba_renderer, monkeypatch):
     """Without shiny surfaces, no path starts at the projector; if all count as shiny, the mean is
     equal.
@@ -291,6 +293,7 @@ def test_light_transport_is_reciprocal(mitsuba_renderer):
     assert abs(forth.mean() / swapped_power.mean() - 1) < 0.03
 
 
+@pytest.mark.slow
 def test_one_seed_gives_one_picture(mitsuba_renderer):
     """Threads add to one pixel in any order."""
     scene = room(CAMERA, PROJECTOR, metal(0.1))

@@ -32,6 +32,7 @@ def fresnel(cosine, index=INDEX):
     return 0.5 * across**2 * (1 + (np.cos(angle + inside) / np.cos(angle - inside)) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roughness", [slow(0.05), 0.3, slow(0.5), 0.8])
 @pytest.mark.parametrize("film", [0.02, slow(0.3)])
 def test_white_metal_under_a_film_reflects_all_light(cpu_device, roughness, film):
@@ -80,6 +81,7 @@ def walked(wi, alpha, n, index=INDEX):
     return above[:, leaves], (weight * (1 - fresnel(up)))[leaves]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("roughness", "angle_deg"), [slow(0.3, 0), slow(0.3, 50), (0.5, 30), slow(0.7, 60)]
 )
@@ -112,6 +114,7 @@ def test_the_lobe_agrees_with_a_random_walk_in_the_film(cpu_device, roughness, a
     assert (np.abs(ratio - 1) < 0.01 + 4 * noise[sure]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "film", "angle_deg"), [(0.5, 0.4, 30), slow(0.7, 0.5, 70)])
 def test_samples_follow_the_density(cpu_device, roughness, film, angle_deg):
     assert_samples_fall_where_densities_say(filmed(roughness, film), leaning(angle_deg), fine=800)

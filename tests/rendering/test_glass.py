@@ -83,6 +83,7 @@ def test_a_thin_pane_dims_a_wall_behind_it_on_the_way_in_and_out(mitsuba_rendere
     assert np.abs(ratio - 1).max() < max(5 * noise, 1e-5), ratio
 
 
+@pytest.mark.slow
 def test_a_thin_pane_reflects_the_projector_onto_a_wall(mitsuba_renderer):
     """Oracle: the projector's mirror image with Fresnel's share of two surfaces; no other light
     arrives there, and without a third vertex none returns.
@@ -118,6 +119,7 @@ def orders(cosine, thickness_m, color):
         yield (1 - r) ** 2 * left ** (2 * k + 1) * r ** (2 * k), (2 * k + 1) * across
 
 
+@pytest.mark.slow
 def test_a_slab_in_front_of_the_camera_displaces_and_dims_the_scene(mitsuba_renderer):
     """Snell's parallel shift, Fresnel's losses and Beer's law, in each pixel's column and level."""
     thickness_m, color = 0.06, 0.7
@@ -147,6 +149,7 @@ def test_a_slab_in_front_of_the_camera_displaces_and_dims_the_scene(mitsuba_rend
     assert abs(off_px.mean()) < 0.05 and np.abs(off_px).max() < 0.5, off_px
 
 
+@pytest.mark.slow
 def test_a_slab_in_the_projector_s_beam_displaces_and_dims_its_light(mitsuba_renderer):
     """A parallel wall has `I T sin(a) da / (r dr)`: rays of the angle a from the axis arrive at the
     distance r. The camera sees the wall beside the slab.
@@ -246,6 +249,7 @@ def traced_ball(points, direction, center, radius, color):
         inward = inward - 2 * inner[:, None] * n
 
 
+@pytest.mark.slow
 def test_a_ball_lens_focuses_the_projector_onto_the_wall_behind(mitsuba_renderer):
     """Oracle: rays by vectors in NumPy. All light enters the ball, and squares of the wall receive
     the light of these rays.

@@ -1,6 +1,7 @@
 """Values that change between scenes are not compiled into kernels, which cost a second each."""
 
 import numpy as np
+import pytest
 from stage import (
     SOMEWHERE,
     box_part,
@@ -19,6 +20,7 @@ from graycast.rendering import Quality
 from graycast.world.scene import Environment, Lamp
 
 
+@pytest.mark.slow
 def test_another_seed_pose_colour_lamp_layout_or_count_compiles_no_kernel(mitsuba_renderer):
     """Light, ground truth and silhouettes; 40 and 70 parts need more than one word of bits."""
     import drjit as dr

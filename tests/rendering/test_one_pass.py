@@ -58,6 +58,7 @@ def test_one_pass_equals_each_pattern_alone_by_an_independent_integrator(quick_p
         assert agree(together[:, k], alone[:, k])
 
 
+@pytest.mark.slow
 def test_the_comparison_detects_a_2_percent_error_and_a_missing_bounce(
     quick_pair, mitsuba_renderer
 ):
@@ -88,6 +89,7 @@ def test_one_pass_equals_each_pattern_alone_to_a_third_of_a_percent(mitsuba_rend
         assert not agree(1.003 * together[:, k], alone[:, k])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", [slow(2), 256])
 def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsuba_renderer, levels):
     """The stack's patterns share the same paths; 34 of them need more than one word of bits."""

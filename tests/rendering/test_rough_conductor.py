@@ -64,6 +64,7 @@ def test_white_metal_reflects_all_light(cpu_device, roughness, angle_deg):
     assert abs(weight.mean() - 1) < 0.002 + 4 * error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
 def test_the_value_agrees_with_the_published_formulas(cpu_device, roughness):
     """Oracle: other forms of D and G2, E summed over directions instead of facets, F_avg as an

@@ -70,6 +70,7 @@ def samples_of(bsdf, wi, n, u):
     return np.array(sample.wo, dtype=float), np.array(sample.pdf), np.array(weight, dtype=float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("look", [METAL, PLASTIC, replace(METAL, metallic=0.5)])
 @pytest.mark.parametrize("grey", [slow(255), 130, slow(40)])
 def test_a_map_of_one_grey_equals_a_material_of_that_roughness(cpu_device, look, grey):
@@ -87,6 +88,7 @@ def test_a_map_of_one_grey_equals_a_material_of_that_roughness(cpu_device, look,
         assert np.abs(density / as_dense - 1).max() < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "grey"),
     [

@@ -28,6 +28,7 @@ def scenes(cell):
     return list(graycast.scenes(cell, 2, seed=5, device="cpu"))
 
 
+@pytest.mark.slow
 def test_saved_scenes_are_the_dataset_of_generate(cell, scenes, tmp_path):
     for scene in scenes:
         scene.save(tmp_path / "saved")
@@ -47,6 +48,7 @@ def test_the_cloud_has_the_points_of_the_pixels_with_depth(scenes):
     np.testing.assert_allclose(pixel, np.stack([column, row], axis=-1), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_loop_that_ends_early_closes_the_renderer(cell, monkeypatch):
     closed = []
     close = SceneMaker.close
@@ -58,6 +60,7 @@ def test_a_loop_that_ends_early_closes_the_renderer(cell, monkeypatch):
     assert closed
 
 
+@pytest.mark.slow
 def test_the_seed_is_the_configuration_s_unless_one_is_given(cell, scenes):
     first = next(graycast.scenes(cell, 1, device="cpu"))
     assert first.shots[0].sample.manifest["dataset_seed"] == cell.config.seed == 0

@@ -37,6 +37,7 @@ def test_pixels_outside_the_projector_s_picture_follow_a_closed_form_for_paralle
     assert (never & ~beside).mean() < 0.02  # rays through a corner
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", [slow((0.0,) * 5), LENS])
 def test_no_pixel_that_can_be_lit_is_outside_the_projector_s_picture(lens):
     """Oracle: 200 points on each ray, projected one by one."""

@@ -37,6 +37,7 @@ def frame_index(code, axis, bit, inverse=False):
     return [(f.axis, f.bit, f.inverse) for f in code.frames].index(wanted)
 
 
+@pytest.mark.slow
 def test_a_pixel_has_low_modulation_when_its_contrast_is_under_the_share_of_the_range():
     code = gray(32, 16)
     spec = DecodeSpec(min_contrast=0.1)  # of 255 DN: 25.5
@@ -273,6 +274,7 @@ def test_a_bit_that_counts_periods_must_not_be_in_doubt_inside_a_period():
     assert one_pixel(code, at=16, change=doubt) is Reason.DECODED  # bit 0 changes there
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inverses", [False, True])
 def test_a_phase_may_be_an_eighth_of_a_period_outside_its_gray_cell(inverses):
     """Cells are half a period, 8 px: a phase within 6 px of a cell's middle belongs to it.

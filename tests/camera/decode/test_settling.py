@@ -102,6 +102,7 @@ def test_settled_places_scatter_by_their_sigma():
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WEAK_CODES)
 def test_both_decoders_settle_the_same_pixels(name):
     """Sums in float32 and in float64 differ near a limit, and so do pixels that depend on it."""
@@ -184,6 +185,7 @@ def test_neighbours_of_several_surfaces_do_not_settle_a_pixel():
     assert (np.abs(after.column - place)[settled] < 0.5).all()
 
 
+@pytest.mark.slow
 def test_a_pixel_is_refused_if_one_of_its_two_axes_cannot_be_settled():
     """The plain decoder gives the same result for each axis."""
     code = gray_phase(512, 384, axes=("column", "row"), period_px=24.0)
@@ -208,6 +210,7 @@ def test_a_pixel_is_refused_if_one_of_its_two_axes_cannot_be_settled():
         np.testing.assert_allclose(getattr(fast, field), getattr(plain, field), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_saturated_pixel_is_not_settled_by_either_decoder():
     """Reasons of light come before reasons of code: saturation may cause the contradiction."""
     spoilt = np.random.default_rng(5).random(SHAPE) < 0.01

@@ -70,6 +70,7 @@ def test_no_step_is_named_for_a_period_of_which_only_a_part_is_visible():
     assert faults(code, np.rint(255 * (stack / 255) ** 1.3).astype(np.uint8)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray, 3 steps", slow("gray, 12 steps")])
 def test_positions_move_by_at_most_the_amount_in_the_warning(name, tmp_path):
     """Oracle: the projection of the wall and the ball, and the unchanged stack."""

@@ -197,6 +197,7 @@ def test_a_stack_file_that_is_missing_or_not_yaml_is_named(tmp_path):
         decode_stack(tmp_path / "STACK.yaml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("level", "says"),
     [
@@ -221,6 +222,7 @@ def test_overexposed_pictures_are_refused_or_cause_a_warning(make):
     assert any("% of the lit pixels are saturated" in w for w in some.warnings)
 
 
+@pytest.mark.slow
 def test_pictures_with_saturated_stripes_are_decoded_by_their_inverses(make):
     """With three times the light, a stripe and its inverse still distinguish bright from dark."""
     over = decode_stack(make(lambda *_: None, stack=shoot(RIG, GRAY, bright=3.0)))
@@ -317,6 +319,7 @@ WARNINGS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "code", "says"), WARNINGS, ids=lambda v: getattr(v, "__name__", "")
 )
@@ -325,6 +328,7 @@ def test_a_doubtful_stack_is_decoded_with_a_warning_of_the_symptom(edit, code, s
     assert any(re.search(says, warning) for warning in warnings), warnings
 
 
+@pytest.mark.slow
 def test_a_wrong_period_without_gray_bits_makes_pixels_contradictory(make):
     def edit(content, folder):
         for e in content["frames"]:
@@ -335,6 +339,7 @@ def test_a_wrong_period_without_gray_bits_makes_pixels_contradictory(make):
         decode_stack(make(edit, THREE))
 
 
+@pytest.mark.slow
 def test_files_shifted_by_one_are_refused_with_the_first_symptom(make):
     with pytest.raises(
         GraycastError, match=r"almost no pixel is decoded.*\(white is darker than bl.*"
@@ -377,6 +382,7 @@ def other_projector(rig):
     return replace(rig, projector=replace(rig.projector, height_px=100))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [

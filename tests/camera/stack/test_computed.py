@@ -58,6 +58,7 @@ def test_noise_is_not_measured_from_computed_inverses(name):
     assert estimate.levels.floor_dn2 > 0.8
 
 
+@pytest.mark.slow
 def test_the_warning_names_computed_inverses_and_the_loss(tmp_path):
     code = CODES["inverses"]
     stack = computed(code, shoot_cluttered(code, Look(squares=0.3)), 255)

@@ -49,6 +49,7 @@ def misses_px(result, scene):
             yield np.abs(place - getattr(scene, axis))[result.codes.reason == Reason.DECODED]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CODES)
 def test_a_valid_stack_is_decoded_without_a_warning(name, tmp_path):
     """Oracle: the scene's closed form; light comes in whole projector pixels."""
@@ -65,6 +66,7 @@ def keep_all(frame):
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("keep", "cell_px"),
     [
@@ -89,6 +91,7 @@ def test_a_code_without_its_finest_bits_is_decoded_to_half_of_its_cell(keep, cel
     assert np.isfinite(result.codes.row[known]).all() == ("row" in code.axes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "bits", "color"),
     [
@@ -125,6 +128,7 @@ def test_an_orientation_tag_does_not_rotate_a_picture(tmp_path):
     np.testing.assert_array_equal(decode_stack(path).codes.column, plain)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.0, 0.05, 0.2])
 def test_the_noise_is_estimated_from_the_stack_itself(gain, tmp_path):
     """Oracle: the simulated noise, variance 0.25 + gain * light, and 1/12 of rounding."""
@@ -158,6 +162,7 @@ def off_the_surface_m(point_m):
     return np.minimum(ball_m, np.abs(point_m[:, 2] - WALL_M))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vertical", [False, True])
 def test_depth_of_wall_and_ball_is_right_to_half_a_projector_pixel(vertical, tmp_path):
     rig, code = small_rig(vertical=vertical), CODES["gray with inverses"]
@@ -171,6 +176,7 @@ def test_depth_of_wall_and_ball_is_right_to_half_a_projector_pixel(vertical, tmp
     assert result.figures.epipolar_median_px < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "mentioned"), [("gray with inverses", True), ("gray and phase", False)]
 )
@@ -309,6 +315,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
         write_result(result, tmp_path / "file" / "out")
 
 
+@pytest.mark.slow
 def test_the_example_of_a_phase_code_needs_no_stride(tmp_path):
     """A complementary bit gives the width of the Gray values."""
     content = describe(CODES["gray and phase"])

@@ -45,12 +45,14 @@ def warnings_of(folder, code, stack, edit=None):
     return decode_stack(write_yaml(folder, content)).warnings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "look"), ALL)
 def test_a_healthy_stack_of_a_hard_scene_causes_no_warning(name, look, tmp_path):
     code = CODES[name]
     assert not warnings_of(tmp_path, code, shoot_cluttered(code, LOOKS[look]))
 
 
+@pytest.mark.slow
 def test_contradictions_in_strong_noise_are_attributed_to_the_noise(tmp_path):
     code = CODES["micro phase"]
     stack = shoot_cluttered(code, Look(bright=0.05, read_dn=3.0, gain=0.3))

@@ -57,6 +57,7 @@ def decoded(folder, code, settings, rig=None):
     return decode_stack(save(folder, content, shoot(small_rig(), code)), rig)
 
 
+@pytest.mark.slow
 def test_guards_of_a_preset_are_noted_for_gray_code_without_a_rig(tmp_path):
     guards = {"min_visibility": 0.5, "settling_votes": 12, "max_epipolar_px": 2.0}
     result = decoded(tmp_path, CODES["gray"], guards | {"fine_bits": 3, "doubt": 0.15})
@@ -70,6 +71,7 @@ def test_guards_of_a_preset_are_noted_for_gray_code_without_a_rig(tmp_path):
     assert yaml.safe_load((tmp_path / "STACK.yaml").read_text())["decode"]["settling_votes"] == 12
 
 
+@pytest.mark.slow
 def test_settings_that_are_used_or_switched_off_are_not_noted(tmp_path):
     off = {"min_visibility": 0.0, "settling_votes": 0, "max_epipolar_px": 2.0, "fine_bits": 2}
     assert decoded(tmp_path, CODES["gray"], off, small_rig()).notes == ()

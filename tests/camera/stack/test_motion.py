@@ -35,6 +35,7 @@ def motions(warnings):
     return [m.groups() for m in (re.match(pattern, w) for w in warnings) if m]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray", slow("gray and phase"), slow("three frequencies")])
 @pytest.mark.parametrize(("x_px", "y_px"), [(2, 1), slow(-10, 3)])
 def test_a_bump_between_columns_and_rows_is_the_only_warning(name, x_px, y_px, tmp_path):
@@ -58,6 +59,7 @@ def test_a_bump_between_a_pattern_and_its_inverse_is_named_once_with_both_frames
     assert abs(jump.y_px) < 0.15
 
 
+@pytest.mark.slow
 def test_a_bump_during_a_steady_motion_is_distinguished_from_it():
     """Oracle: 1 px to the right for each white sum, and once 3 px down."""
     code = CODES["gray"]
@@ -81,6 +83,7 @@ def second_half(pair):
     return max(pair - 7, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place_px", "extent_px"), [(to_and_fro, 2), (second_half, 7)])
 def test_a_camera_that_moves_in_half_of_the_stack_is_named(place_px, extent_px, tmp_path):
     """Seven of the 14 motions are 0, so the median does not show which half is usual.
@@ -105,6 +108,7 @@ def test_noise_and_changing_exposure_are_not_taken_for_motion(name):
     assert motion == StackMotion()
 
 
+@pytest.mark.slow
 def test_fringes_from_a_gamma_are_not_taken_for_motion():
     """Pictures have the square root of the light, so pairs and steps do not add up to white."""
     for code in CODES.values():

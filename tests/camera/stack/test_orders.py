@@ -48,6 +48,7 @@ def backwards(content):
             e["step"] = -e["step"] % e["steps"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -64,6 +65,7 @@ def test_pictures_in_the_opposite_order_cause_one_warning(name, tmp_path):
     assert warning.startswith("the pictures are in the opposite order: state the files")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray and 8 steps", slow("gray and 3 steps"), slow("gray")])
 def test_gray_bits_in_the_opposite_order_next_to_a_phase_cause_one_warning(name, tmp_path):
     """The only warning was of depth outside the working range."""
@@ -74,6 +76,7 @@ def test_gray_bits_in_the_opposite_order_next_to_a_phase_cause_one_warning(name,
         assert f"{axis}s apart, 0.0 % if all bits were in the opposite order" in warning
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["half a period", slow("gray and 3 steps")])
 def test_steps_in_reverse_are_named_for_gray_cells_of_half_a_period(name, tmp_path):
     """Edges of half a period coincide with the phases of both directions; their change decides."""
@@ -83,6 +86,7 @@ def test_steps_in_reverse_are_named_for_gray_cells_of_half_a_period(name, tmp_pa
     assert all("the steps run backwards" in warning for warning in warnings)
 
 
+@pytest.mark.slow
 def test_steps_in_reverse_without_gray_bits_are_named_in_the_refusal(tmp_path):
     stack = shoot_cluttered(CODES["three frequencies"], LOOK)
     content = describe(CODES["three frequencies"])

@@ -44,6 +44,7 @@ def misfits(folder, code, stack, rig):
     return [warning for warning in warnings if "the rig does not fit the stack" in warning]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["both", "columns", "rows"])
 def test_a_rig_with_inverted_R_and_T_is_named(name, shots, tmp_path):
     """With one coded axis, only the edge of the projector's picture shows it."""
@@ -53,6 +54,7 @@ def test_a_rig_with_inverted_R_and_T_is_named(name, shots, tmp_path):
     assert "invert R and T of the rig" in message
 
 
+@pytest.mark.slow
 def test_a_stack_of_one_axis_notes_that_an_inverted_rig_cannot_be_detected(tmp_path):
     """All points of an inverted rig were wrong without a message if no edge was visible."""
     rig = small_rig()
@@ -64,6 +66,7 @@ def test_a_stack_of_one_axis_notes_that_an_inverted_rig_cannot_be_detected(tmp_p
         assert f"note: {result.notes[0]}" in describe_result(result)
 
 
+@pytest.mark.slow
 def test_points_out_of_the_working_range_reveal_an_inverted_rig_of_one_axis(tmp_path):
     """The axes cross at 0.55 m; the inversion moves the wall from behind this point before it."""
     T_cam_proj = rigid(axis_rotation("y", -0.35), np.array([0.2, 0.0, 0.0]))
@@ -75,6 +78,7 @@ def test_points_out_of_the_working_range_reveal_an_inverted_rig_of_one_axis(tmp_
     assert "invert R and T of the rig: then 100 % of the points lie in the" in wrong.warnings[0]
 
 
+@pytest.mark.slow
 def test_both_axes_or_an_edge_of_the_light_leave_no_doubt_about_the_rig(shots, tmp_path):
     for name, (rig, code, stack) in shots.items():
         folder = tmp_path / name
@@ -82,6 +86,7 @@ def test_both_axes_or_an_edge_of_the_light_leave_no_doubt_about_the_rig(shots, t
         assert decode_stack(save(folder, describe(code), stack), rig).notes == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "turn", "says"),
     [
@@ -98,6 +103,7 @@ def test_rotated_pictures_are_named_with_the_rotation_to_apply(name, turn, says,
     assert says in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turns", "mirror", "says"),
     [

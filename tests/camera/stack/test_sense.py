@@ -52,6 +52,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("code", "sign", "by"), CASES)
 def test_a_wrong_direction_or_origin_is_named_with_the_right_one(code, sign, by, tmp_path):
     """Oracle: the known renumbering of the file; its inverse gives the truth."""
@@ -67,6 +68,7 @@ def test_a_wrong_direction_or_origin_is_named_with_the_right_one(code, sign, by,
     assert any(ways in warning for warning in result.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [slow(FOUR), THREE, slow(EIGHT), LINE])
 def test_phases_in_the_right_direction_cause_no_warning(code, tmp_path):
     for k, look in enumerate((HARD, Look(gain=0.4, read_dn=3.0, blur_px=1.0))):
@@ -125,6 +127,7 @@ def test_a_cosine_that_begins_between_steps_is_read_with_fractional_steps(first,
     assert np.nanmax(np.abs(off)) < 0.02  # from 0.5 DN of rounding in 3 frames of amplitude 85
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("steps", "worst"), [(3, 1 / 12), (4, 1 / 8), (8, 1 / 16)])
 def test_stripes_in_place_of_a_cosine_have_the_error_stated_in_docs_stacks(steps, worst, tmp_path):
     """Oracle: the formula of sharp stripes, and the error of their odd harmonics in closed form.
@@ -143,6 +146,7 @@ def test_stripes_in_place_of_a_cosine_have_the_error_stated_in_docs_stacks(steps
     assert 0.8 * worst * 32 < np.nanmax(np.abs(off)) < 1.03 * worst * 32
 
 
+@pytest.mark.slow
 def test_a_saturation_above_the_camera_s_range_means_that_no_pixel_saturates(tmp_path):
     code = gray_phase(128, 96, steps=4)
     content = describe(code) | {"levels": {"saturation_dn": 300.0}}

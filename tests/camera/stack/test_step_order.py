@@ -57,6 +57,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "one", "other"), CASES)
 def test_two_exchanged_pictures_are_the_only_warning(name, one, other, tmp_path):
     """Oracle: the two exchanged pictures. All other pairs of four to six steps are excluded."""
@@ -66,6 +67,7 @@ def test_two_exchanged_pictures_are_the_only_warning(name, one, other, tmp_path)
     assert "origin" not in warning and "backwards" not in warning and "bright" not in warning
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("one", "other", "twin"), [(0, 1, (2, 3)), slow(1, 2, (0, 3))])
 def test_both_possible_pairs_are_named_if_no_gray_bits_distinguish_them(one, other, twin, tmp_path):
     """Oracle: 1, 0, 2, 3 with the last two exchanged is 1 - k, a sine in reverse."""
@@ -97,6 +99,7 @@ def test_a_picture_in_place_of_another_is_called_a_copy_and_not_an_exchange(tmp_
     assert not any("exchanged" in w for w in warnings)
 
 
+@pytest.mark.slow
 def test_a_brighter_step_is_named_even_if_another_period_has_exchanged_pictures(tmp_path):
     """Only the period with the exchange is not checked for equal brightness."""
     code = CODES["three frequencies"]
@@ -109,6 +112,7 @@ def test_a_brighter_step_is_named_even_if_another_period_has_exchanged_pictures(
     assert unequal.startswith(code.frames[k].name) and "1.25 times as bright" in unequal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [slow(0.6), 1.8])
 def test_a_nonlinear_response_neither_hides_nor_simulates_an_exchange(power, tmp_path):
     code = CODES["eight"]

@@ -252,6 +252,7 @@ def test_a_view_is_the_cone_to_the_farthest_corner_and_meets_balls_that_overlap_
     assert 0.2 < np.mean(met) < 0.8
 
 
+@pytest.mark.slow
 def test_lamps_without_a_free_place_are_refused():
     scene = cell()
     settings = {"kind": "randomized", "lamps": {"distance_m": [0.1, 0.1], "count": [1, 1]}}

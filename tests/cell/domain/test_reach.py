@@ -19,6 +19,7 @@ ADAPTED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("domain", [slow(None), slow("randomized"), ADAPTED])
 def test_no_drawn_view_has_a_larger_depth_of_the_bin_than_the_reach(domain):
     settings = {"parts": [{"builtin": "metal_workpiece_1"}], "view": {"tilt_deg": 12}}

@@ -152,6 +152,7 @@ def check_bop(files, sample, depth_m, info_key):
         assert info[i]["px_count_valid"] == valid.sum(), info_key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", ["perfect", "scanner"])
 def test_bops_shards_are_read_by_the_webdataset_package(exported, samples, depth):
     out = exported("bop-webdataset", shard_scenes=3, depth=depth)
@@ -172,6 +173,7 @@ def test_equal_datasets_give_equal_shards_without_names_or_times(exported):
         assert {(m.mtime, m.uid, m.uname) for m in shard.getmembers()} == {(0, 0, "")}
 
 
+@pytest.mark.slow
 def test_parquet_is_read_by_pyarrow(exported, samples):
     pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'graycast[parquet]'")
     out = exported("parquet", shard_scenes=3, image="gray")

@@ -86,6 +86,7 @@ def test_painted_outlines_of_small_parts_equal_their_masks():
     assert min(overlap) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("density", [slow(0.3), 0.7])
 def test_painted_outlines_of_masks_with_many_holes_add_few_pixels(density):
     """Only the cuts between a hole and the border are painted in addition to the mask."""

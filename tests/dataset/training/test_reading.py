@@ -186,6 +186,7 @@ def test_a_dataset_and_its_exports_are_read_with_few_packages_installed(master, 
     assert here.mask.any()
 
 
+@pytest.mark.slow
 def test_a_package_called_absent_cannot_be_imported():
     """So the test above would notice an import of it."""
     wrong = READ.replace(

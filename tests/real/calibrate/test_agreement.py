@@ -50,6 +50,7 @@ def calibrated(views):
     return fit_agreeing(observed, (SIZE, SIZE), 1, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "count", "turn_deg"), [(3, 6, 0.5), slow(4, 9, 0.1), slow(5, 9, 2.0)]
 )

@@ -85,6 +85,7 @@ def many():
     return Observed(views=tuple(views), left_out={})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shift_px",
     [slow((60.0, 0.0)), slow((2.0, 0.0)), slow((5.0, 0.0)), (0.0, 5.0), slow((0.0, 8.0))],
@@ -124,6 +125,7 @@ def test_the_same_pose_taken_twice_is_named(observed):
     _refuse_same_pose(replace(first, corners=moved), observed.views)
 
 
+@pytest.mark.slow
 def test_a_mirrored_code_is_named_as_decode_names_it():
     """The board faces camera and projector, so its columns increase from right to left."""
     squares = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.ones((30, 30)))

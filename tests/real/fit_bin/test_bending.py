@@ -109,6 +109,7 @@ def _rays():
     return np.stack(ray, axis=-1)
 
 
+@pytest.mark.slow
 def test_a_bin_that_equals_its_drawing_is_unchanged():
     bent = bend_bin(STRAIGHT, T, CAMERA, perfect_depth(T, BOX, CAMERA, BLOCKS))
     (x, y, height), wall = BOX.inner_m, BOX.wall_m
@@ -139,6 +140,7 @@ def test_a_bin_at_another_place_is_refused():
         bend_bin(STRAIGHT, T, CAMERA, far_m[:, 1:])
 
 
+@pytest.mark.slow
 def test_a_flat_part_in_one_of_two_views_is_not_taken_for_the_bin():
     """The median of two is their mean, which lies halfway between the part and the floor.
 

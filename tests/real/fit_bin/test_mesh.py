@@ -106,6 +106,7 @@ def test_votes_count_points_on_a_face_and_points_behind_it(shape):
     assert moved < 0.8 * same
 
 
+@pytest.mark.slow
 def test_a_box_given_as_a_mesh_is_fitted_like_the_box():
     box = Bin(inner_m=BOX.inner_m, wall_m=BOX.wall_m)
     as_mesh = Bin(inner_m=BOX.inner_m, mesh=bin_mesh(BOX))

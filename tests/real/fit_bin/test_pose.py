@@ -64,6 +64,7 @@ def test_a_point_belongs_to_its_nearest_face_at_its_distance_from_it():
     assert (away == NO_FACE).all()
 
 
+@pytest.mark.slow
 def test_normals_of_a_cloud_are_those_of_the_faces():
     """Oracle: the bin's planes are horizontal or vertical, so one component is 1."""
     T = pose(tilt_deg=30.0)

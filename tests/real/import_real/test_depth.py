@@ -47,6 +47,7 @@ def test_the_largest_number_of_a_type_is_no_distance_in_any_share_of_pixels(tmp_
     assert note.startswith(f"{2 * pixels} pixels in 2 pictures have the largest number")
 
 
+@pytest.mark.slow
 def test_a_single_distant_pixel_that_makes_all_steps_coarse_is_named(tmp_path):
     """The step was 1 mm instead of 0.02 mm, without a message."""
     rng = np.random.default_rng(1)
@@ -90,6 +91,7 @@ def tilted_plane_m():
     return z_m, np.sqrt((point**2).sum(axis=-1))
 
 
+@pytest.mark.slow
 def test_lengths_of_rays_are_recognised_and_converted(tmp_path):
     """Oracle: the distance of the point, and z of the same point."""
     z_m, length_m = tilted_plane_m()

@@ -231,6 +231,7 @@ def test_other_readers_accept_the_import_like_any_dataset(real, samples):
         export(out, real.parent / "no", Options(format="parquet", depth="perfect"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["npy", "tiff", "png", "ply"])
 def test_depth_of_every_kind_is_imported_to_half_a_step(simulation, real, samples, kind):
     for scene_id in samples:
@@ -426,6 +427,7 @@ def run(*words):
     return main([*map(str, words), "--debug"])
 
 
+@pytest.mark.slow
 def test_the_commands_report_their_result_and_what_is_unknown(real, samples, capsys):
     out, coco = real.parent / "out", real.parent / "coco"
     arguments = ["--scale", SCALE_M, "--intrinsics", "212,214,78.3,61.7"]

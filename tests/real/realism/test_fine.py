@@ -25,6 +25,7 @@ def sphere(radius_m=0.25, middle_m=0.8):
     return np.where(root > 0.02, (along - np.sqrt(root.clip(min=0))) * unit[..., 2], np.nan)
 
 
+@pytest.mark.slow
 def test_the_estimate_of_white_noise_is_its_sigma_at_any_brightness_percentile():
     rng = np.random.default_rng(1)
     depth_m = plane(0.4) + SIGMA_M * rng.standard_normal((240, 320))

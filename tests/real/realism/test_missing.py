@@ -13,12 +13,14 @@ def record(*scans):
     return pool([measure_scan(s) for s in scans], name="set")
 
 
+@pytest.mark.slow
 def test_shares_are_of_all_pixels_of_all_maps():
     full, half = plane(), plane()
     half = np.concatenate([half[:120], np.full_like(half[:120], np.nan)])
     assert record(scan(full), scan(half)).missing.share == 0.25
 
 
+@pytest.mark.slow
 def test_reasons_are_counted_for_missing_pixels_only():
     depth_m = plane()
     depth_m[:24] = np.nan
@@ -29,6 +31,7 @@ def test_reasons_are_counted_for_missing_pixels_only():
     assert figures.missing.by_reason == {"shadow": 0.1, "reason 7": 0.05}
 
 
+@pytest.mark.slow
 def test_the_drop_out_step_is_found_at_its_level_with_its_shares():
     """In a ramp of brightness, 90 % of the pixels are missing below 0.04 and 2 % above."""
     rng = np.random.default_rng(1)

@@ -45,6 +45,7 @@ def test_the_scatter_of_patches_is_that_of_chi_square():
     assert sigma_m.std() == pytest.approx(expected, rel=4 / np.sqrt(2 * len(sigma_m)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kernel", "rows", "columns"),
     [
@@ -73,6 +74,7 @@ def test_correlated_noise_keeps_its_sigma_and_its_patches(side):
     assert abs((noise.sigma_m**2).mean() / SIGMA_M**2 - 1) < 4 * standard_error
 
 
+@pytest.mark.slow
 def test_a_sphere_gives_no_patch_and_a_plane_next_to_it_gives_all():
     """A patch is curved by 15^2 px^2 z^2 / (8 f^2 R), here 0.7 mm, 3.5 sigma."""
     rng = np.random.default_rng(8)
@@ -104,6 +106,7 @@ def test_patches_with_an_edge_are_left_out():
     assert np.median(noise.sigma_m) == pytest.approx(SIGMA_M, rel=0.02)
 
 
+@pytest.mark.slow
 def test_spikes_and_holes_do_not_spoil_a_patch():
     rng = np.random.default_rng(10)
     depth_m = noisy_plane(rng)

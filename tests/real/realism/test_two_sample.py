@@ -100,6 +100,7 @@ def test_coarse_steps_of_files_do_not_distinguish_two_sets(monkeypatch):
     assert sensor_auc(a, b, "smooth", seed=0) == pytest.approx(0.5, abs=0.12)
 
 
+@pytest.mark.slow
 def test_the_estimated_floor_is_the_true_plane():
     tilt_rad, distance_m = 0.3, 0.5
     depth_m = [one.depth_m.copy() for one in maps(2, 1)]
@@ -111,6 +112,7 @@ def test_the_estimated_floor_is_the_true_plane():
     assert g == pytest.approx(np.linalg.solve(K.T, normal), rel=1e-3, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *map(slow, range(1, 6))])
 def test_a_floor_is_found_if_it_is_an_eighth_of_the_depth(seed):
     """The rest are randomly tilted boxes, each smaller than the visible floor.

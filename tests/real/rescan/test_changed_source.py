@@ -180,6 +180,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_changed_image_is_named(root, name):
     """The links would show the new original next to the scanner's old depth."""
@@ -243,6 +244,7 @@ def test_poses_of_both_are_compared_if_a_record_has_no_checksums(root):
     assert "image 4: scene_gt has 2 objects, and scene_gt_sl other ones (1)" in what
 
 
+@pytest.mark.slow
 def test_a_change_of_depth_only_is_named(tmp_path):
     (tmp_path / "in/depth").mkdir(parents=True)
     depth_m = true_depth_m().astype(np.float32)
@@ -296,6 +298,7 @@ def test_a_picture_that_is_a_dead_link_is_not_a_missing_one(root):
     assert any("rgb/000000.jpg: the original" in what for what in problems(root))
 
 
+@pytest.mark.slow
 def test_copies_replace_links(root):
     source = open_source(root / "lm/train_pbr")
     rescan(source, RIG, root / "out", replace(SPEC, copies=True))

@@ -182,6 +182,7 @@ def test_the_reader_for_training_reads_both_depths(dataset):
         open_dataset(root / "out")
 
 
+@pytest.mark.slow
 def test_one_of_several_cameras_is_rescanned_and_read_for_training(tmp_path):
     """All file names contain the name of a camera, as in the dataset IPD."""
     split = write_dataset(tmp_path / "ipd", sensor="photoneo")
@@ -196,6 +197,7 @@ def test_one_of_several_cameras_is_rescanned_and_read_for_training(tmp_path):
     assert np.isfinite(example.scanner_depth_m).mean() > 0.4
 
 
+@pytest.mark.slow
 def test_a_rescan_is_reproducible_and_continues_after_a_stop(dataset, tmp_path):
     root, split, _ = dataset
     first = rescan(open_source(split), RIG, tmp_path / "out", spec(images=1))
@@ -245,6 +247,7 @@ def test_images_that_cannot_be_scanned_are_set_aside(tmp_path):
     assert not (tmp_path / "out/set_aside.json").exists()
 
 
+@pytest.mark.slow
 def test_an_image_whose_device_is_lost_is_tried_three_times(tmp_path, monkeypatch):
     """A rescan used to end at the first error of its device."""
     split, real, tries = write_dataset(tmp_path / "lm"), ImageScanner.make, []
@@ -482,6 +485,7 @@ def test_a_rescan_without_images_is_no_dataset(dataset, tmp_path):
     assert ["holds no image with a scan" in problem.what for problem in validate(out)] == [True]
 
 
+@pytest.mark.slow
 def test_validate_detects_depth_of_another_scene(dataset, tmp_path):
     _, split, _ = dataset
     out = tmp_path / "out"
@@ -495,6 +499,7 @@ def test_validate_detects_depth_of_another_scene(dataset, tmp_path):
     assert "looked at another scene" in other
 
 
+@pytest.mark.slow
 def test_a_rescan_of_ray_lengths_stores_z(tmp_path):
     """Its depth is its own file: a link to the original would give lengths."""
     split = write_dataset(tmp_path / "lm")

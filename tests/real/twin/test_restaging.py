@@ -136,6 +136,7 @@ def test_a_lost_pixel_keeps_its_share_of_both_surfaces():
     assert not right[0, 0] and not left[0, 1] and not up[known].any() and not down[known].any()
 
 
+@pytest.mark.slow
 def test_flat_surfaces_have_few_triangles_and_no_cracks(staged):
     """Squares of pixels meet smaller ones, whose corners are on their sides in the picture."""
     mesh = staged.parts[0].mesh
@@ -151,6 +152,7 @@ def test_flat_surfaces_have_few_triangles_and_no_cracks(staged):
         assert np.isfinite(of_part(one, camera(5))[inside]).mean() > 0.9999
 
 
+@pytest.mark.slow
 def test_shadows_are_those_of_the_true_objects(staged):
     """Oracle: the view of the projector's pinhole of the true objects, and of the solid.
 
@@ -238,6 +240,7 @@ def painted(height_px, width_px, color=(200, 100, 50)):
     return np.full((height_px, width_px, 3), color, dtype=np.uint8)
 
 
+@pytest.mark.slow
 def test_pictures_become_reflectances_with_white_as_the_brightest():
     """All have one factor: the second picture is half as bright, in linear light."""
     first, second = (

@@ -56,6 +56,7 @@ def test_isolated_holes_are_counted_and_wide_ones_are_not():
     assert row(z_m, "holes of 1 px") == single and row(z_m, "holes of 2 to 4 px") == 0
 
 
+@pytest.mark.slow
 def test_holes_of_the_floor_are_those_in_its_plane():
     """The plane is at 0.6 m; a box on it, half of the picture, has other holes."""
     z_m = plane().copy()

@@ -118,6 +118,7 @@ def test_the_model_of_falloff_agrees_with_the_renderer(stage, monkeypatch):
     assert np.quantile(np.abs(twin[bright] / own[bright] - 1), 0.97) < 2e-3
 
 
+@pytest.mark.slow
 def test_scans_are_matched_by_their_own_scanner_and_by_no_other(stage):
     """The noise is another sample of the same strength; chance alone gives a misfit of 1."""
 
@@ -234,6 +235,7 @@ def test_a_repeated_trial_costs_nothing(stage, monkeypatch):
     assert result.trials <= 150 + len(FITTED)
 
 
+@pytest.mark.slow
 def test_steps_return_from_where_nothing_is_lit(stage, monkeypatch):
     """The first step goes too far, as errors count by their logarithm, and finds no rows."""
     monkeypatch.setattr(searching, "_STARTS", 0)

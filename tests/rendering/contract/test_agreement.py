@@ -1,6 +1,7 @@
 """Each renderer, compared with the exact reference on one picture of everything."""
 
 import numpy as np
+import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 from stage import askew_rig, in_camera, lambert, leaning_wall, optics, wall
 
@@ -10,6 +11,7 @@ from graycast.world.scene import EMPTY_LAYOUT, Sphere
 DIRECT = Quality(samples=64, depth=1)
 
 
+@pytest.mark.slow
 def test_each_renderer_agrees_with_the_exact_one(path_tracer):
     """Two programs without common code, on a scene with distortion in both lenses, shadows and
     borders. Inside surfaces both give the value at the pixel's centre, one by a regular grid and

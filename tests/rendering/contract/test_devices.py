@@ -90,6 +90,7 @@ def test_light_falls_by_the_fourth_power_of_the_cosine_for_a_camera_and_the_firs
     assert np.abs(dimmed.albedo - plain.albedo).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", ["camera", "projector"])
 def test_light_falls_with_the_squared_distance_from_the_picture_s_centre(renderer, device):
     """Oracle: the ratio of pictures with and without falloff, which is a half in the corners."""
@@ -168,6 +169,7 @@ def test_a_camera_pixel_receives_light_only_in_its_sensitive_square(renderer, si
     assert abs(share.mean() - covered) < 0.02
 
 
+@pytest.mark.slow
 def test_the_measuring_camera_sees_the_reflectance_at_the_projector_s_wavelength(renderer):
     """The colour picture shows the colour; both are relative to a grey wall's."""
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))

@@ -185,6 +185,7 @@ def projector_pixel(code, light, axis):
     return place[np.tensordot(weight, bits, axes=1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "distortion", [(0.0, 0.0, 0.0, 0.0, 0.0), (-0.15, 0.08, 0.01, -0.008, 0.02)]
 )

@@ -94,6 +94,7 @@ def test_ids_depth_and_silhouettes_of_a_heap_agree_with_those_of_single_boxes(pa
         assert truth.amodal[i].in_image(72, 96)[truth.instance == i].all()
 
 
+@pytest.mark.slow
 def test_a_silhouette_does_not_depend_on_other_parts(path_tracer):
     """Each instance alone in the scene has the same silhouette, and all of it is visible."""
     rig = askew_rig()
@@ -185,6 +186,7 @@ def square_part(material, *, corner_normals=None):
     return Part(name="square", mesh=mesh, material=material, density_kg_m3=1.0, friction=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
 def test_row_0_of_a_texture_is_at_the_top_and_its_levels_are_srgb(path_tracer, metallic):
     """Four quarters of known colours; linear values by the sRGB curve of IEC 61966-2-1."""
@@ -209,6 +211,7 @@ def test_row_0_of_a_texture_is_at_the_top_and_its_levels_are_srgb(path_tracer, m
         assert light[10, 10, 0] > 0 and light[10, 10, 1] == 0 and light[10, 20, 0] == 0
 
 
+@pytest.mark.slow
 def test_corner_normals_change_the_shading_but_not_the_geometric_normals(path_tracer):
     """Lambert's cosine with the given normal; the truth keeps the plane's normal."""
     normal = np.array([0.3, 0.2, -1.0]) / np.linalg.norm([0.3, 0.2, -1.0])
@@ -339,6 +342,7 @@ def test_the_scene_behind_a_camera_is_invisible(path_tracer):
     assert np.isnan(truth.depth_m).all() and np.isnan(truth.normal).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned_grain", [False, True])
 def test_grooves_have_the_direction_of_their_part(path_tracer, turned_grain):
     """Two squares with different rotations under the projector. Oracle for each pixel: GGX with two

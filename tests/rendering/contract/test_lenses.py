@@ -21,6 +21,7 @@ from stage import centred, in_camera, lambert, make_rig, plain_pattern, wall
 from graycast.world.scene import Quad, Sphere
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("device", "z_m"),
     [

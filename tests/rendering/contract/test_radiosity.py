@@ -166,6 +166,7 @@ def test_the_radiosity_solution_is_converged_and_differs_from_direct_light(groov
     assert np.abs(score).max() > 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [slow("sphere"), "groove"])
 def test_a_white_object_in_white_light_is_invisible(path_tracer, shape):
     """White furnace: with albedo 1 and a constant radiance of 1, every pixel is 1."""

@@ -45,6 +45,7 @@ def box(sides=SIDES_M):
     return mesh_of(trimesh.creation.box(sides))
 
 
+@pytest.mark.slow
 def test_suction_grips_of_a_box_are_a_cup_s_radius_inside_its_faces():
     places = suction_places(
         box(), CUP, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=250, seed=1
@@ -109,6 +110,7 @@ def test_a_tool_may_tilt_by_30_degrees_to_each_side():
     np.testing.assert_allclose(np.diff(turn), math.pi / 2)
 
 
+@pytest.mark.slow
 def test_a_heavy_part_is_gripped_near_its_centre_of_mass():
     """A part tilts off if weight * shake * distance exceeds N r / 2."""
     long = box((0.2, 0.03, 0.02))
@@ -134,6 +136,7 @@ def test_a_heavy_part_is_gripped_near_its_centre_of_mass():
 JAWS = Jaws(opening_m=0.05, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 0.040))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("opening_m", "sides_mm"), [(0.050, {20, 30, 40}), (0.035, {20, 30}), (0.033, {20})]
 )
@@ -146,6 +149,7 @@ def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit(opening_m, sides_mm
     assert {round(1e3 * grip.opening_m, 6) for grip in best_first(places)} == sides_mm
 
 
+@pytest.mark.slow
 def test_the_palm_limits_the_height_of_a_part_between_the_fingers():
     """The palm is a finger's length minus the pad's radius, 36 mm, above the pads' centre."""
     tall = box((0.01, 0.02, 0.12))
@@ -158,6 +162,7 @@ def test_the_palm_limits_the_height_of_a_part_between_the_fingers():
     assert 0.030 < max(above) <= 0.036 + 1e-9
 
 
+@pytest.mark.slow
 def test_a_jaw_grip_s_score_is_the_probability_of_sufficient_friction():
     """Oracle: the normal law of friction, at the factor of the planned grip in its worst tilt."""
     doubt = Doubt(position_m=0.0, angle_rad=0.0, friction_share=0.15, center_m=0.0)
@@ -202,6 +207,7 @@ def test_a_jaw_grip_s_score_includes_the_probability_that_both_pads_meet_the_par
     assert near_edge >= 2  # some are near an edge
 
 
+@pytest.mark.slow
 def test_no_finger_overlaps_the_part():
     """A U of 3 mm walls, 10 mm apart: a finger of 6 mm with 2 mm of room just fits in."""
     walls = [
@@ -257,6 +263,7 @@ def search(depth_m, weight_n, doubt):
     return SuctionSearch(view=view, cup=CUP, weight_n=weight_n, doubt=doubt)
 
 
+@pytest.mark.slow
 def test_grips_in_depth_are_as_near_to_the_mask_s_centre_as_the_weight_requires():
     """The weight is not along the axis: its part across tilts the cup by its lever arm."""
     lean_rad, weight_n = 0.6, 1.0
@@ -298,6 +305,7 @@ def test_no_grip_is_on_unknown_ground():
         assert x < 120 - 0.9 * 500 * CUP.radius_m / 0.6
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_grips():
     mask = np.zeros((200, 240), bool)
     mask[80:120, 100:140] = True
@@ -324,6 +332,7 @@ def test_objects_beyond_an_open_pad_are_not_between_the_pads():
     assert closing(both, jaws, beyond, opening_m=0.020) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["suction", "jaws"])
 def test_candidates_include_grips_that_hold_and_ones_that_do_not(kind):
     known = {"weight_n": 0.5, "center_m": np.zeros(3), "doubt": DOUBT, "count": 24}

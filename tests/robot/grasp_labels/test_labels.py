@@ -155,6 +155,7 @@ def test_a_label_below_another_part_is_no_success(robots, stroke_m, ending):
         assert label.reach == "free" and carry_out(world, two, label).ended == ending
 
 
+@pytest.mark.slow
 def test_an_unknown_weight_on_the_part_makes_the_cup_lose_it(robots):
     """At 25 mm from the centre, 0.18 Nm load a cup that holds 0.26 Nm; a second plate adds 0.5."""
     world = world_of(SUCTION.model_copy(update={"cup": Cup(radius_m=0.015, height_m=0.015)}))
@@ -220,6 +221,7 @@ def test_half_of_the_selected_grips_have_score_0_if_there_are_enough(good, bad, 
     assert sum(scores[k] > 0 for k in indices) == goods
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_labels(suction):
     heap = heap_of(lying(), lying(y=0.08))
     options = Labelling(tool=SUCTION, simulate=4)

@@ -30,6 +30,7 @@ def ready(folder, **changes):
     return make_ready(resolve_pick_cell(load_pick_config(path), folder))
 
 
+@pytest.mark.slow
 def test_the_small_cell_itself_is_accepted(robots, tmp_path):
     setup = ready(tmp_path)
     assert (
@@ -114,6 +115,7 @@ class OneClass:
         return Detections(scene_id=0, score=np.array([0.9])[known], obj_id=kind[known], box_px=box)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", [1, slow(2)])
 def test_a_detector_of_one_class_is_enough_if_grips_need_no_model(
     robots, tmp_path, monkeypatch, parts

@@ -92,6 +92,7 @@ def test_an_unseen_area_is_as_high_as_the_nearest_seen_one(depth):
     assert np.isfinite(heap.height_m).all()
 
 
+@pytest.mark.slow
 def test_a_shadow_next_to_a_part_is_as_high_as_the_part():
     """From far aside, the camera sees nothing for 22 mm behind the block."""
     aside = look_at(np.array([0.35, 0.03, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))

@@ -56,6 +56,7 @@ def test_no_joint_exceeds_its_speed(ur):
     assert np.abs(jerk).max() <= 1.1 * 2 * ACCELERATION_RAD_S2 / RISE_S
 
 
+@pytest.mark.slow
 def test_the_path_leads_around_a_wall(ur):
     """From one side of the robot to the other, a wall blocks the direct path."""
     start, goal = ur.home.copy(), ur.home.copy()

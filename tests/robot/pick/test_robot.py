@@ -84,6 +84,7 @@ def test_each_link_of_a_built_in_arm_is_a_capsule(name):
         np.testing.assert_allclose([middle - half, middle + half], place, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_inverse_kinematics_finds_angles_for_every_pose_of_the_arm(robot):
     rng = np.random.default_rng(1)
     inner = 0.9

@@ -90,6 +90,7 @@ def test_runs_are_compared_with_the_first_in_a_table():
     assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][8:] == ["2", "1", "0", "1"]
 
 
+@pytest.mark.slow
 def test_every_failure_has_a_colour_and_an_area_in_proportion_to_its_count(tmp_path):
     """Oracle: in the picture, the areas of the two failures' colours are as 3 to 1."""
     assert set(COLOR) == set(Outcome) - set(TAKEN)

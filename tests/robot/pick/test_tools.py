@@ -4,6 +4,8 @@ import re
 from pathlib import Path
 from typing import get_args
 
+import pytest
+
 import graycast
 from graycast.robot.pick.pick_sections import PickConfig
 from graycast.robot.pick.tools import AnyTool, Tool
@@ -20,6 +22,7 @@ def files_that_name(tool):
             yield file.relative_to(SOURCE.parent).with_suffix("").as_posix().replace("/", ".")
 
 
+@pytest.mark.slow
 def test_a_tool_is_named_only_where_it_is_defined_and_selected():
     """Settings also name the default tool of a cell."""
     for tool in TOOLS:

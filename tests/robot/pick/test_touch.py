@@ -126,6 +126,7 @@ def test_a_finger_that_meets_a_flange_before_its_pad_meets_the_hub_holds_nothing
     assert re.fullmatch(r"a finger meets the part 2\.[01] mm before its pad", met.detail)
 
 
+@pytest.mark.slow
 def test_no_grip_with_a_score_of_0_is_held_in_the_simulation(flanged, robots):
     part = flanged.part
     jaws = JAWS.jaws

@@ -126,6 +126,7 @@ def test_straight_paths_do_not_exceed_their_speed(arm, here):
     assert way.up.seconds >= 0.25 / 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("grip", "outcome", "words"),
     [

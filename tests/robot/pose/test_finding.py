@@ -215,6 +215,7 @@ def plate(x=0.08, y=0.05, z=0.0005):
     return Mesh(vertices_m=corner, faces=np.array(faces))
 
 
+@pytest.mark.slow
 def test_a_flat_plate_is_found_without_an_explosion_of_pairs():
     """All its pairs differ only in length; its outline shows its position."""
     mesh = plate()

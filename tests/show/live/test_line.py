@@ -96,6 +96,7 @@ def test_the_first_pictures_are_rough_and_the_last_is_that_of_preview(watched):
     watched.show(render={"samples": 6, "denoise": False})
 
 
+@pytest.mark.slow
 def test_the_page_receives_the_result_in_its_own_formats(watched):
     """Millimetres, column-major matrices of WebGL, and instances from 1; noise by its own law."""
     watched.show(seed=3)
@@ -156,6 +157,7 @@ def test_parts_are_dropped_again_only_after_changes_that_move_them(tmp_path, sec
     assert (key() != key(**sections)) == falls
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sections",
     [

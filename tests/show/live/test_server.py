@@ -91,6 +91,7 @@ def test_forms_and_large_requests_are_refused(server):
     assert response(server, "POST", "/do", None, **{"Content-Length": "99999999"})[0] == 413
 
 
+@pytest.mark.slow
 def test_settings_can_be_set_undone_redone_and_restored(server):
     session = server.session
     assert do(server, do="set", key="exposure.target", value=0.3) == {"number": 1}
@@ -127,6 +128,7 @@ def test_a_refused_setting_is_reported_and_changes_nothing(server, command, mess
     assert server.session.state() == before
 
 
+@pytest.mark.slow
 def test_a_file_that_was_saved_here_may_be_overwritten(server, tmp_path):
     do(server, do="set", key="rig.power", value=2)
     assert do(server, do="save", name="mine.yaml") == {"saved": str(tmp_path / "mine.yaml")}
@@ -143,6 +145,7 @@ def test_a_used_port_and_a_wrong_file_are_reported(server, tmp_path):
         Server(tmp_path / "none.yaml")
 
 
+@pytest.mark.slow
 def test_a_saved_file_gives_the_cell_that_is_shown(server):
     """`test_line.py` tests that a shown cell equals `make_scene`'s."""
     for key, value in (("ambient", 2.5), ("rig.power", 0.7), ("rig.toe_in_deg", 0.5)):
@@ -155,6 +158,7 @@ def test_a_saved_file_gives_the_cell_that_is_shown(server):
     assert saved.light.environment.radiance == (0.5, 0.5, 0.5)
 
 
+@pytest.mark.slow
 def test_a_page_that_opens_later_is_told_why_there_is_no_picture(server, monkeypatch):
     """Otherwise a page whose stream was interrupted would wait for ever."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
@@ -180,6 +184,7 @@ def test_a_page_that_opens_later_is_told_why_there_is_no_picture(server, monkeyp
         assert kinds() == ["state"]
 
 
+@pytest.mark.slow
 def test_a_page_that_joins_while_an_answer_arrives_receives_it(server, monkeypatch):
     """The answer arrives after the page has read the existing ones and before it listens."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)

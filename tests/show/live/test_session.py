@@ -18,6 +18,7 @@ def where(session):
     return state["values"]["ambient"], state["undo"], state["redo"]
 
 
+@pytest.mark.slow
 def test_undone_settings_are_gone_after_another_change(session):
     for ambient in (2.0, 3.0, 4.0):
         session.set("ambient", ambient)
@@ -33,6 +34,7 @@ def test_undone_settings_are_gone_after_another_change(session):
     assert where(session) == (1.0, 0, 3)
 
 
+@pytest.mark.slow
 def test_consecutive_drafts_are_one_step_of_undo(session):
     session.set("ambient", 2.0)
     for ambient in (3.0, 4.0, 5.0):

@@ -70,6 +70,7 @@ def test_the_robot_s_links_have_the_poses_of_its_kinematics(replay, motions):
         np.testing.assert_allclose(tip, T @ T_flange_tip(replay.cell.config.tool), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_folders_of_picks_are_counted_and_compared(picks, capsys, tmp_path):
     """Computed by hand: of four grips in two bins, two removed a part and two lost it."""
     other = shutil.copytree(picks, tmp_path / "other")

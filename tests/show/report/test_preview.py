@@ -203,6 +203,7 @@ def test_the_head_of_a_scan_lists_all_its_exposures(tiles):
     assert "exposure 5, 20 ms" in words
 
 
+@pytest.mark.slow
 def test_the_head_lists_an_exposure_that_no_pixel_uses(tiles):
     """All pixels use the longest of four exposures; the head lists the other three, too."""
     shot = make_shot()
@@ -215,11 +216,13 @@ def test_the_head_lists_an_exposure_that_no_pixel_uses(tiles):
     assert "exposure 1, 10, 100, 400 ms" in words
 
 
+@pytest.mark.slow
 def test_the_number_of_surfaces_on_a_light_path_is_not_called_depth(tiles):
     words = " ".join(text.get_text() for text in tiles(make_shot())[0].texts)
     assert "up to 4 surfaces" in words and "depth 4" not in words
 
 
+@pytest.mark.slow
 def test_a_scene_without_parts_and_without_depth_gives_a_sheet(tiles):
     nowhere = np.full((HEIGHT, WIDTH), Reason.SHADOW, dtype=np.uint8)
     figure, by_title = tiles(make_shot(reason=nowhere, layout=EMPTY_LAYOUT))
@@ -230,6 +233,7 @@ def test_a_scene_without_parts_and_without_depth_gives_a_sheet(tiles):
 # --- content of the tiles -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_head_has_the_number_of_parts_and_the_physics(tiles):
     many = Layout(
         T_world_part=np.tile(np.eye(4), (3, 1, 1)),
@@ -247,6 +251,7 @@ def test_the_head_has_the_number_of_parts_and_the_physics(tiles):
         assert fact in words
 
 
+@pytest.mark.slow
 def test_every_tile_except_the_close_up_shows_the_bin_and_the_head_its_size(tiles):
     shot = make_shot()
     T_world_cam = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, WALL_M], [0, 0, 0, 1]])
@@ -265,6 +270,7 @@ def test_every_tile_except_the_close_up_shows_the_bin_and_the_head_its_size(tile
     assert bar[0].get_xlim() == pytest.approx((398.0, 502.0), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_frames_range_from_the_dark_level_to_saturation(tiles):
     frames = np.full((len(CODE.frames), HEIGHT, WIDTH), 2000, dtype=np.uint16)
     frames[0, :, :20], frames[0, :, 20:40] = 64, 4095
@@ -289,6 +295,7 @@ def test_the_sheet_shows_the_third_coarsest_and_the_finest_bit(tiles):
     assert got_dn == pytest.approx([4 * 200 + 100, 7 * 200 + 100], abs=12)  # 8-bit steps
 
 
+@pytest.mark.slow
 def test_too_far_is_red_too_near_is_blue_and_unknown_is_grey(tiles):
     error_m = np.zeros((HEIGHT, WIDTH), dtype=np.float32)
     error_m[:, :20], error_m[:, 20:40] = 0.05, -0.05
@@ -307,6 +314,7 @@ def test_both_depths_have_the_same_colours(tiles):
     )
 
 
+@pytest.mark.slow
 def test_reasons_are_listed_with_their_shares(tiles):
     reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
     reason[:, :20], reason[:6, 20:] = Reason.SHADOW, Reason.CONTRADICTORY
@@ -324,6 +332,7 @@ def test_reasons_are_listed_with_their_shares(tiles):
         np.testing.assert_array_equal(image(ax)[at], color)
 
 
+@pytest.mark.slow
 def test_boxes_are_drawn_on_their_instance(tiles):
     """Oracle: similar triangles; a 0.1 m cube whose front is the wall is 20 px wide there."""
     _, by_title = tiles(make_shot())

@@ -119,6 +119,7 @@ def test_the_picture_shows_a_common_volume_only_where_there_is_one(tmp_path):
     assert "none" in describe_rig(aside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [slow("like-phoxi-m"), slow("like-zivid-2-m70"), "office-projector"]
 )

@@ -404,6 +404,7 @@ def test_a_part_of_half_a_million_faces_keeps_its_bound_and_its_hole():
         assert not in_hulls(hulls, np.stack(circle, axis=1)).any()
 
 
+@pytest.mark.slow
 def test_a_part_with_too_much_detail_is_decomposed_more_coarsely_with_a_note(monkeypatch):
     stages = []
     monkeypatch.setattr(mesh_hulls, "MOST_PIECES", 4)
@@ -415,6 +416,7 @@ def test_a_part_with_too_much_detail_is_decomposed_more_coarsely_with_a_note(mon
     )
 
 
+@pytest.mark.slow
 def test_hulls_that_exceed_their_bound_cause_a_note_with_the_measured_error():
     """A washer as one hull. Oracle: the middle of its hole is 4 mm from the wall.
 

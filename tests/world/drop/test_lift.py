@@ -81,6 +81,7 @@ def test_the_tool_carries_the_part_s_weight():
         np.testing.assert_allclose(loads[-1], [0, 0, -weight_n], atol=2e-3 * weight_n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "holds"), [(0.9, True), (1.1, False)])
 def test_a_cup_lifts_only_the_weight_that_its_vacuum_can_hold(share, holds):
     body = plate(share * CUP.pull_n / GRAVITY_M_S2)
@@ -92,6 +93,7 @@ def test_a_cup_lifts_only_the_weight_that_its_vacuum_can_hold(share, holds):
     assert risen_m == pytest.approx(0.1 - sag_m if holds else 0.0, abs=0.3e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "holds"), [(0.9, True), (1.1, False)])
 def test_a_cup_off_the_centre_of_mass_loses_the_part_by_tilt(share, holds):
     """The grip is 30 mm off the centre: m g (1 + 2 d / r) <= pull, by the ring's statics."""
@@ -103,6 +105,7 @@ def test_a_cup_off_the_centre_of_mass_loses_the_part_by_tilt(share, holds):
     assert (end.lost_s is None) == holds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "holds"), [(0.9, True), (1.1, False)])
 def test_jaws_hold_a_part_below_their_friction_and_lose_it_above(share, holds):
     jaws = Jaws(opening_m=0.1, force_n=20.0, friction=0.3)

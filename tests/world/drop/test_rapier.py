@@ -157,6 +157,7 @@ def test_a_bolt_on_the_floor_comes_to_rest_on_head_and_shank(bolt, tilt_rad):
     assert lowest_m == pytest.approx([rapier.SKIN_M] * 2, abs=0.05e-3)
 
 
+@pytest.mark.slow
 def test_a_part_held_only_by_damping_is_detected_when_damping_ends(monkeypatch):
     """At 15.5 degrees a slab slides 75 mm in 0.6 s; damped by 1e5 it creeps 0.06 mm in 0.6 s."""
     monkeypatch.setattr(rapier, "LINEAR_DAMPING", 1e5)

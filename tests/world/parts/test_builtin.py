@@ -105,6 +105,7 @@ def turn(axis, angle_rad):
     return rigid(axis_rotation(axis, angle_rad), np.zeros(3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUILTIN)
 def test_every_declared_symmetry_maps_the_part_onto_itself(name):
     part = part_of(name)
@@ -206,6 +207,7 @@ def test_a_box_shows_each_panel_upright_and_not_mirrored(name, panels, side):
 BOTTLE_AXIS_M = 0.029 - 0.067 / 2  # x of the body's axis: the nozzle shifts the box's middle
 
 
+@pytest.mark.slow
 def test_the_bottle_shows_its_name_upright_and_not_mirrored_in_front():
     """The middle of the front is nearly flat, so arc length equals x there."""
     part, panel = part_of("hygiene_spray"), spray_panels()["body"]
@@ -221,6 +223,7 @@ def test_the_bottle_shows_its_name_upright_and_not_mirrored_in_front():
         assert likeness(picture, wrong) < 0.6
 
 
+@pytest.mark.slow
 def test_the_label_is_wrapped_once_around_the_bottle_with_its_seam_behind():
     """From behind the bottle, the panel's two ends meet in the middle."""
     part, panel = part_of("hygiene_spray"), spray_panels()["body"]

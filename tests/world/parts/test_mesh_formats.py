@@ -138,6 +138,7 @@ def test_new_copies_the_texture_of_a_mesh(tmp_path, monkeypatch, capsys, picture
     assert part.material.base_color != (0.3, 0.3, 0.3)
 
 
+@pytest.mark.slow
 def test_new_replaces_a_texture_only_if_a_surface_is_requested(tmp_path, monkeypatch, capsys):
     path = textured_obj(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -24,6 +24,7 @@ def box(x, y, z):
     return Mesh(vertices_m=corner, faces=np.array(faces))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "order"), [((0.06, 0.04, 0.1), 4), ((0.05, 0.05, 0.1), 8), ((0.05, 0.05, 0.05), 24)]
 )
@@ -37,6 +38,7 @@ def test_a_box_has_the_rotations_of_its_group(size, order):
 MIDDLE, X, Z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turns", "size", "order"),
     [
@@ -56,6 +58,7 @@ def test_rotations_generate_the_group_of_the_shape(turns, size, order):
         assert all(any(np.allclose(one, other, atol=1e-6) for other in estimate) for one in group)
 
 
+@pytest.mark.slow
 def test_rotations_about_axes_that_do_not_meet_are_refused():
     with pytest.raises(ValueError, match="check that their axes meet in one point"):
         turns_together([(Z, MIDDLE, 2), (X, (0.0, 0.0, 0.1), 2), (Z, (0.1, 0.0, 0.0), 3)])

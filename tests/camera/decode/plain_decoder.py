@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from graycast.camera.decode.bits import BLURRED, FINE_ERROR, SHARP, XOR_DOUBT, XOR_SIGMAS
-from graycast.camera.decode.maps import CodeMap, DecodeSpec, Levels, Mark, Reason
+from graycast.camera.decode.maps import CodeMap, DecodeSpec, Levels, Mark
 from graycast.camera.decode.phases import (
     APART_SIGMAS,
     MAX_MISFIT,
@@ -23,6 +23,7 @@ from graycast.camera.decode.plan import (
     read_frames,
 )
 from graycast.camera.decode.positions import SHADOW_SIGMAS
+from graycast.camera.decode.reasons import Reason
 from graycast.camera.decode.settling import (
     AGAINST_SHARE,
     CHOICES,

@@ -9,7 +9,8 @@ from scipy import ndimage, signal
 
 from graycast.base.frames import pixel_grid
 from graycast.camera.decode.filters import filter_depth
-from graycast.camera.decode.maps import DepthMap, FilterSpec, Reason
+from graycast.camera.decode.maps import DepthMap, FilterSpec
+from graycast.camera.decode.reasons import Reason
 from graycast.rig.optics import Optics, rays
 from graycast.rig.pair import preset_rig
 

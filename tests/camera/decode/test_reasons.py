@@ -1,7 +1,9 @@
 """Reasons of pixels without a position: a pixel made for each reason, and the order of reasons."""
 
+import ast
 import pickle
 import re
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
@@ -552,3 +554,39 @@ def test_a_reason_is_stored_pickled_and_compiled_as_its_number():
     shares = reason_shares(np.array([[0, 0, 8, 1]], np.uint8))
     assert [name for name, share in shares.items() if share] == ["decoded", "shadow", "outlier"]
     assert sum(shares.values()) == 1
+
+
+def setters_of_reasons():
+    """Return the functions, as module.function, that give a pixel each reason but DECODED."""
+    found = defaultdict(set)
+    camera = Path(__file__).parents[3] / "src/graycast/camera"
+    for path in [*camera.glob("decode/*.py"), camera / "stack/believed_depth.py"]:
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            # Only these expressions read a reason; all others give it to a pixel.
+            readers = [
+                node.slice if isinstance(node, ast.Subscript) else node
+                for node in ast.walk(function)
+                if isinstance(node, ast.Compare | ast.Subscript)
+                or (isinstance(node, ast.Call) and ast.unparse(node.func) == "np.isin")
+            ]
+            read = {id(inner) for node in readers for inner in ast.walk(node)}
+            for node in ast.walk(function):
+                if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "Reason":
+                    if node.attr.isupper() and id(node) not in read:
+                        found[node.attr].add(f"{path.stem}.{function.name}")
+                elif isinstance(node, ast.Name) and node.id in Reason.__members__:
+                    found[node.id].add(f"{path.stem}.{function.name}")
+    found.pop("DECODED")
+    return dict(found)
+
+
+def test_the_docstring_names_the_functions_that_set_each_reason():
+    table = Reason.__doc__[Reason.__doc__.index("    SHADOW") :]
+    rows = re.split(r"\b([A-Z_]{5,})\b", table)[1:]
+    named = {
+        name: set(re.findall(r"[a-z_]+\.[a-z_]+", functions))
+        for name, functions in zip(rows[::2], rows[1::2], strict=True)
+    }
+    assert named == setters_of_reasons()

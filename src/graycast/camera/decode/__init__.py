@@ -1,6 +1,7 @@
 """From a stack of pictures to projector positions and depth; the reason if a pixel has no depth.
 
-maps           inputs and results: settings, maps, and the reasons of pixels without depth
+maps           inputs and results: settings and maps
+reasons        reasons of pixels without depth, and the functions that set them
 plan           the assignment of frames to bits and phases of each axis
 bits, phases   the values of bits and of phases; phases that disagree
 positions      from all frames to positions; each pixel is decoded or gets a reason
@@ -15,7 +16,6 @@ outliers, median, filters   filters that remove or smooth depth, as devices do
 
 from .filters import filter_depth
 from .maps import (
-    REASON_COLOR,
     WRONG_M,
     WRONG_SIGMAS,
     CodeMap,
@@ -24,14 +24,17 @@ from .maps import (
     FilterSpec,
     Levels,
     Mark,
-    Reason,
     levels_of,
+)
+from .positions import decode
+from .reasons import (
+    REASON_COLOR,
+    Reason,
     little_depth_note,
     pooled_shares,
     reason_counts,
     reason_shares,
 )
-from .positions import decode
 from .separation import separate
 from .triangulation import (
     epipolar_residual_px,

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from ...base.kernels import kernel
-from .maps import Reason
+from .reasons import Reason
 
 # An edge of the base bit flips all bits that are combined with it. Several weak bits are therefore
 # no contradiction there, and only noise makes them doubtful. But scattered light leaves little

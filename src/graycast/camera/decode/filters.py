@@ -18,8 +18,9 @@ from jaxtyping import Bool, Float, Float32, Int, Int8
 from ...base.kernels import kernel
 from ...rig.optics import Optics
 from ...rig.pair import Rig
-from .maps import DepthMap, FilterSpec, Reason
+from .maps import DepthMap, FilterSpec
 from .outliers import find_outliers
+from .reasons import Reason
 from .visibility import without_hidden
 
 STEP_SIGMAS = 3.0  # A change of depth of less than this many sigmas is neither a step nor steep.

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from ...base.kernels import kernel
-from .maps import Reason
 from .plan import MODEL_RAD, OFF_CELL
+from .reasons import Reason
 from .settling import CLEAR, OPEN, REFUSED
 
 MAX_MISFIT = 9.0  # A position is refused if the mean square of its residuals, in sigmas, is larger.

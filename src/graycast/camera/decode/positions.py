@@ -16,7 +16,7 @@ from ...base.errors import DecodeError
 from ...base.kernels import kernel
 from ...rig.pattern import AXES, Axis, Code
 from .bits import FINE_ERROR, GrayBits, Light, Places, lose_bits, read_gray
-from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
+from .maps import CodeMap, DecodeSpec, Levels, Mark
 from .phases import (
     MIN_LEAD,
     Phases,
@@ -29,6 +29,7 @@ from .phases import (
     read_phases,
 )
 from .plan import AxisPlan, plan_axes, read_frames
+from .reasons import Reason
 from .settling import CHOICES, CLEAR, OPEN, Pixels, settle, settle_refused
 
 SHADOW_SIGMAS = 6.0  # The range of about twenty frames of equal light seldom exceeds this.

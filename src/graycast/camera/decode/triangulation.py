@@ -7,8 +7,9 @@ from ...rig.optics import mask_rays, no_inverse, rays
 from ...rig.pair import Rig
 from ...rig.pattern import Axis
 from .field import beside_projector
-from .maps import CodeMap, DepthMap, Reason
+from .maps import CodeMap, DepthMap
 from .meeting import lens_of, meet, off_the_line_px, rows_of
+from .reasons import Reason
 
 EPIPOLAR_SIGMAS = 3.0
 

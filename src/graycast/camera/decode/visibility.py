@@ -21,7 +21,8 @@ from ...base.frames import transform_points
 from ...base.kernels import kernel
 from ...rig.optics import picture_rays, project
 from ...rig.pair import Rig
-from .maps import DepthMap, Reason
+from .maps import DepthMap
+from .reasons import Reason
 from .triangulation import triangulation_axis
 
 

@@ -1,4 +1,4 @@
-"""The front, intervals and what the study says in words."""
+"""Test the Pareto front, the intervals and the sentence of a study."""
 
 import math
 from types import SimpleNamespace
@@ -27,7 +27,7 @@ def spec(**words) -> DesignSpec:
 
 
 def placed(setting: Setting) -> Placed:
-    """Of the cell only what words are made of."""
+    """Return a placed setting with only the cell values that the sentence uses."""
     view = SimpleNamespace(distance_m=0.85, tilt_deg=8.0, azimuth_deg=0.0)
     cell = SimpleNamespace(
         config=SimpleNamespace(view=view),
@@ -59,7 +59,7 @@ def row(name: str, shares, *, sigma_m=0.0002, seconds=0.5, feature_m=0.003) -> S
     return row_of(placed(Setting(code=name)), heaps)
 
 
-def test_nobody_on_the_front_is_beaten_and_all_others_are():
+def test_only_settings_off_the_front_are_dominated():
     """A law of the front, checked by comparing all pairs one by one."""
     values = np.random.default_rng(5).integers(0, 6, (60, 3)).astype(float)
     front = on_front(values)

@@ -1,4 +1,4 @@
-"""The picture of a study: names that can be read, intervals, and axes that begin at 0."""
+"""Test the plot of a study: legible names, intervals, and axes that begin at 0."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Whole studies of a small cell: paired, the same whoever makes them, and gone on with."""
+"""Test whole studies of a small cell: pairing, parallel workers and resuming."""
 
 import json
 import os
@@ -58,7 +58,7 @@ def test_a_study_writes_tables_plots_and_a_sentence(study, capsys):
         assert row["measured_low"] < row["measured"] < row["measured_high"]
 
 
-def test_all_settings_are_asked_about_the_same_points_of_the_same_heaps(study):
+def test_all_settings_are_judged_at_the_same_points_of_the_same_heaps(study):
     _, out = study
     for heap in ("000.json", "001.json"):
         points = {
@@ -68,8 +68,8 @@ def test_all_settings_are_asked_about_the_same_points_of_the_same_heaps(study):
         assert len(points) == 1
 
 
-def test_a_code_gives_the_same_alone_as_beside_others(study, tmp_path):
-    """Codes share their light's rendering, which must not depend on who else is in it."""
+def test_the_result_of_a_code_does_not_depend_on_other_codes(study, tmp_path):
+    """Codes share rendered light, which must not depend on the other codes of the study."""
     _, out = study
     path = write_study(tmp_path, sweeps=[{"distance_m": [0.9], "code": ["phase"]}])
     assert run(path, tmp_path / "alone") == 0

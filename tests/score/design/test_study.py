@@ -71,7 +71,7 @@ def test_codes_and_exposures_share_their_light(tmp_path):
 
 
 def test_a_setting_hangs_its_rig_where_it_says(tmp_path):
-    """Oracle: the middle of the baseline is the distance from the target, and leans by the tilt."""
+    """Oracle: the baseline's midpoint has the set distance and tilt, seen from the target."""
     spec = read_design(write_study(tmp_path, sweeps=[{"distance_m": [0.8], "tilt_deg": [20]}]))
     (placed,) = place_settings(spec, settings_of(spec))
     scene = placed.cell.scene
@@ -114,7 +114,7 @@ def test_the_committed_study_compares_24_settings():
 
 
 def test_an_impossible_setting_is_left_out_and_named(tmp_path):
-    """A sweep of distances and rigs has some that do not go together."""
+    """A sweep of distances and rigs includes combinations that are impossible."""
     spec = read_design(write_study(tmp_path, sweeps=[{"distance_m": [0.6, 850, 0.9]}]))
     meter = Metered()
     placed = place_settings(spec, settings_of(spec), progress=meter)
@@ -201,7 +201,7 @@ def assert_refused(capsys, path, out, words, *, untouched=True):
     assert not (untouched and out.exists())
 
 
-def test_the_list_tells_the_settings_and_scans_nothing(tmp_path, capsys):
+def test_the_list_shows_the_settings_without_a_scan(tmp_path, capsys):
     path = write_study(tmp_path)
     assert main(["rig", "design", str(path), "--out", str(tmp_path / "out"), "--list"]) == 0
     assert capsys.readouterr().out.split() == [

@@ -1,4 +1,4 @@
-"""What devices see of a plate in a bin, against closed forms of shadows, fields and projections."""
+"""Test which points of a plate in a bin devices see, against closed forms."""
 
 from dataclasses import replace
 from functools import cache
@@ -29,7 +29,7 @@ POINTS = 20_000
 
 
 def plate(length_m: float, width_m: float, thick_m: float) -> Part:
-    """A box that stands on z = 0, named like nothing else."""
+    """Return a box on the plane z = 0 with a unique name."""
     x, y = length_m / 2, width_m / 2
     corners = np.array([[i, j, k] for i in (-x, x) for j in (-y, y) for k in (0.0, thick_m)])
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
@@ -53,7 +53,7 @@ def plate_in_bin(rig: Rig, camera_m, *, rim_m: float) -> Scene:
 
 
 def share_of(kinds, surface, which) -> float:
-    """Of the upper side's open surface."""
+    """Return the share of the upper side's open surface that is of one kind."""
     top = surface.normal[:, 2] > 0.9
     return float(surface.weight[top & (kinds == which)].sum() / surface.weight[top].sum())
 
@@ -117,7 +117,7 @@ def test_the_open_surface_weighs_what_it_shows_from_above():
     assert top == pytest.approx((1 + 6 * np.cos(np.pi / 12) + 12 * np.cos(np.pi / 6)) / 19)
 
 
-def test_a_part_in_the_way_is_told_from_the_bin_and_from_the_back():
+def test_occlusion_by_a_part_by_the_bin_and_by_its_own_back_differ():
     """A block above the plate throws a shadow of its own size, enlarged by H / (H - h)."""
     height_m, lift_m = 0.9, 0.09
     rig = make_rig(centred(600, 500, 500), centred(900, 700, 500), baseline_m=(0.2, 0, 0))
@@ -139,7 +139,7 @@ def test_a_part_in_the_way_is_told_from_the_bin_and_from_the_back():
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.7, 1.3, 1.5])
 def test_a_convex_part_alone_hides_nothing_of_what_looks_at_the_eye(lean_rad):
-    """A law of convex bodies, also of faces so steep that a pixel covers centimetres of them."""
+    """A convex body hides none of its faces towards the eye, even very steep ones."""
     rig = make_rig(centred(300, 250, 150), centred(900, 700, 500))
     scene = plate_in_bin(rig, (0.1, 0.05, 0.9), rim_m=0.0065)
     turn = np.array([[np.cos(lean_rad), 0, np.sin(lean_rad)], [0, 1, 0]])
@@ -154,7 +154,7 @@ def test_a_convex_part_alone_hides_nothing_of_what_looks_at_the_eye(lean_rad):
 
 
 def test_small_pictures_are_enlarged_about_the_same_field():
-    """A camera of 30 pixels sees what one of ten times as many sees."""
+    """A camera with 30 pixels sees the same surface as one with 300 pixels."""
     for times in (1, 10):
         camera = centred(30 * times, 24 * times, 40 * times)
         rig = make_rig(camera, centred(900, 700, 500), baseline_m=(0.05, 0, 0))
@@ -172,7 +172,7 @@ def test_small_pictures_are_enlarged_about_the_same_field():
 
 @cache
 def plate_in_view(projector_px: int):
-    """A plate that a camera and a projector see whole, its surface and what becomes of it."""
+    """Return a plate that both devices see whole, with its surface and the fates of its points."""
     projector = centred(300, 250, projector_px)
     rig = make_rig(centred(120, 100, 200), projector, baseline_m=(0.05, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + 0.7), rim_m=0.0065)
@@ -183,7 +183,7 @@ def plate_in_view(projector_px: int):
 def plate_figures(
     error_m: float = 0.0, reason=Reason.DECODED, *, noise_m: float = 0.0, projector_px: int = 400
 ):
-    """A plate seen whole and flat, its depth off by so much: the figures' words for it."""
+    """Return the figures of a flat plate, fully visible, with the given depth errors."""
     scene, surface, view = plate_in_view(projector_px)
     shape = (100, 120)
     true_m = np.full(shape, 0.7)
@@ -281,7 +281,7 @@ def test_geometry_takes_precedence_over_the_decoder_s_reason(camera, projector, 
 
 
 def one_point(camera, projector, *, weight=(1.0,)):
-    """As many points as weights, all at one pixel."""
+    """Return one point for each weight; all are at the same pixel."""
     many = np.ones(len(weight))
     surface = HeapSurface(
         point_m=np.zeros((len(weight), 3)), normal=np.zeros((len(weight), 3)),
@@ -296,7 +296,7 @@ def one_point(camera, projector, *, weight=(1.0,)):
 
 
 def test_places_count_by_what_they_show_from_above():
-    """By hand: of the weight 0.7 is seen and 0.5 measured, 0.4 of it 0.2 mm too far."""
+    """Of the weight, 0.7 is seen and 0.5 is measured; 0.4 is measured 0.2 mm too far away."""
     surface, view = one_point(VISIBLE, VISIBLE, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
     fates = (Fate.MEASURED, Fate.MEASURED, Fate.DARK, Fate.HIDDEN_BY_PARTS, Fate.MEASURED)
     point_fates = PointFates(

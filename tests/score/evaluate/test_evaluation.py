@@ -176,7 +176,7 @@ def test_equal_results_differ_by_nothing_and_one_class_forgets_the_parts(master,
     assert gap["ap"].value == gap["ap"].low == gap["ap"].high == 1.0
 
 
-def test_no_detections_score_zero_and_not_nothing(master, tmp_path):
+def test_no_detections_score_zero_and_not_nan(master, tmp_path):
     path = tmp_path / "results.json"
     path.write_bytes(results_bytes([]))
     text = summary(evaluation_of(path, master))

@@ -19,7 +19,7 @@ PLACES = [(12 * (i % 5), 12 * (i // 5)) for i in range(15)]
 @pytest.mark.parametrize("kind", ["box", "mask"])
 @pytest.mark.parametrize("seed", [1, 10, 16])
 def test_a_draw_scores_as_pycocotools_scores_the_drawn_scenes(kind, seed):
-    """The drawn scenes as pictures of their own, some of them several times."""
+    """Return the drawn scenes as separate images; some appear several times."""
     # Scores are of one digit, many of them equal, where the seed is even.
     random_set = RandomSet.of_seed(seed)
     scores = score(random_set.labels, random_set.detections, kind=kind)
@@ -32,7 +32,7 @@ def test_a_draw_scores_as_pycocotools_scores_the_drawn_scenes(kind, seed):
 
 
 def bin_of(scene_id, rng, *, share, parts=15):
-    """A scene of which a share of the parts is found; no mistakes, and boxes alone."""
+    """Return a scene with boxes only, where a share of the parts is found without false alarms."""
     hits = np.flatnonzero(rng.random(parts) < share)
     score = rng.uniform(0.5, 1, len(hits))
     labels = squares(scene_id, PLACES[:parts], masked=False)
@@ -88,7 +88,7 @@ def test_an_interval_contains_its_estimate_even_beyond_all_draws(value):
 
 
 def alike(scene_id, rng):
-    """Scores that are all equal: hits come first in each scene, then up to six false alarms."""
+    """All scores are equal; each scene has its hits first, then up to six false alarms."""
     labels, detections = bin_of(scene_id, rng, share=0.9, parts=8)
     wrong = [(x + 5, y + 5) for x, y in PLACES[: rng.integers(0, 7)]]
     every = [*detections.box_px[:, :2].astype(int).tolist(), *wrong]
@@ -96,7 +96,7 @@ def alike(scene_id, rng):
 
 
 def test_equal_scores_do_not_move_the_draws_away_from_the_estimate():
-    """Copies beside their originals made runs longer: draws lay 0.033 above the estimate."""
+    """Copies next to their originals once raised the draws by 0.033 above the estimate."""
     apart = []
     for seed in range(40):
         scenes = [alike(i, np.random.default_rng((i, seed))) for i in range(10)]
@@ -120,7 +120,7 @@ def test_equal_results_differ_by_exactly_nothing():
 
 
 def test_a_paired_difference_has_a_narrower_interval_than_either_result():
-    """Scenes differ much, the two results little: one misses one part more in every scene."""
+    """Scenes differ much, but the results do not: one misses one more part in every scene."""
     rng = np.random.default_rng(6)
     scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(25)]
     labels = [one[0] for one in scenes]
@@ -134,7 +134,7 @@ def test_a_paired_difference_has_a_narrower_interval_than_either_result():
     assert own.high - own.low > 0.1
 
 
-def test_a_second_equal_view_of_every_scene_tells_nothing_new():
+def test_a_second_equal_view_of_every_scene_leaves_the_interval_unchanged():
     """Oracle: the interval of the first views alone; pictures drawn alone have a narrower one."""
     rng = np.random.default_rng(8)
     scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(20)]
@@ -180,7 +180,7 @@ def uneven(scene_id, rng):
 
 
 def with_mistakes(scene_id, rng):
-    """The same with mistakes; hits have higher scores, but not always."""
+    """Return such a scene with false alarms, whose scores are mostly lower than those of hits."""
     labels, detections = uneven(scene_id, rng)
     places = [(x + 5, y + 5) for x, y in PLACES[: rng.poisson(2)]]
     score = np.concatenate([detections.score, rng.uniform(0.2, 0.8, len(places))])
@@ -199,7 +199,7 @@ def test_95_of_100_intervals_of_recall_hold_the_known_mean(scenes, least):
 
 @pytest.mark.slow
 def test_95_of_100_intervals_of_average_precision_hold_that_of_many_scenes():
-    """AP is no mean over scenes; what it tends to is that of 6,000 scenes."""
+    """AP is not a mean over scenes, so the AP of 6,000 scenes approximates its limit."""
     rng = np.random.default_rng(99)
     many = [with_mistakes(i, rng) for i in range(6000)]
     truth = score([one[0] for one in many], [one[1] for one in many], kind="box").ap

@@ -1,4 +1,4 @@
-"""Groups of instances, the working point, and what is missed or found wrongly."""
+"""Test groups of instances, the working point, missed instances and false alarms."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def rows(judgement, by):
 
 
 def test_instances_of_another_visibility_are_neither_to_find_nor_mistakes():
-    """Two are hardly visible; one of those is missed, and the rest found."""
+    """Two instances are hardly visible; one of these is missed, and all others are found."""
     labels = squares(0, FOUR, visible=[0.2, 0.25, 0.95, 1.0])
     detections = detected_squares(0, [FOUR[0], *FOUR[2:]], [0.9, 0.8, 0.7])
     by = rows(judgement_of(labels, detections), "visibility")
@@ -74,7 +74,7 @@ def test_sizes_score_as_pycocotools_area_ranges(seed, kind):
 
 @pytest.mark.parametrize("decimals", [9, 1])
 def test_the_working_point_has_the_best_f1_of_all_scores(decimals):
-    """Oracle: every score tried, by counting. No score tells equal ones apart."""
+    """Oracle: count at every score as threshold. No threshold separates equal scores."""
     random_set = RandomSet.of_seed(11, scenes=6)
     detections = [replace(one, score=one.score.round(decimals)) for one in random_set.detections]
     known = overlaps(random_set.labels, detections, kind="mask", most=300)
@@ -114,7 +114,7 @@ def test_every_mistake_says_what_it_is():
     assert np.isnan(missed[2].score)
 
 
-def test_what_nobody_found_has_no_working_point():
+def test_results_without_hits_have_no_working_point():
     labels = squares(0, FOUR)
     judgement = judgement_of(labels, detected_squares(0, [], []), kind="box")
     assert np.isnan(judgement.point.score)

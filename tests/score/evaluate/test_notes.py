@@ -1,4 +1,4 @@
-"""What is noted of results: the order of equal scores, and doubled entries."""
+"""Test the notes about results with equal scores or duplicate entries."""
 
 from dataclasses import replace
 from itertools import permutations

@@ -19,7 +19,7 @@ TRUE = rigid(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), np.array([0.05,
 
 
 def moved(T, rotvec=(0, 0, 0), shift=(0, 0, 0)):
-    """Turned about the part's own origin, then shifted in the camera's frame."""
+    """Rotate a pose about the part's own origin, then shift it in the camera frame."""
     R = Rotation.from_rotvec(rotvec).as_matrix()
     return rigid(T[:3, :3] @ R, T[:3, 3] + np.array(shift))
 
@@ -31,14 +31,14 @@ def test_a_shift_is_the_mssd_of_any_part():
 
 
 def test_a_turn_moves_the_farthest_vertex_along_a_chord():
-    """2 r sin(angle / 2), r the farthest distance of a vertex from the axis."""
+    """Oracle: 2 r sin(angle / 2), where r is the largest distance of a vertex from the axis."""
     angle = 0.4
     off = mssd(moved(TRUE, rotvec=[0, 0, angle]), TRUE, CUBE, ALONE)
     assert off == pytest.approx(2 * 0.02 * np.sqrt(2) * np.sin(angle / 2), rel=1e-12)
 
 
-def test_a_turned_body_may_turn():
-    """At any angle; what is left is at most half a step of the discretised symmetry."""
+def test_a_rotation_about_the_axis_of_symmetry_is_no_error():
+    """The error at any angle is at most half a step of the discretised symmetry."""
     ring = np.array([[0.03 * np.cos(a), 0.03 * np.sin(a), 0.0] for a in np.arange(0, 6.28, 0.05)])
     off = mssd(moved(TRUE, rotvec=[0, 0, 1.234]), TRUE, ring, ROUND)
     assert off <= 0.03 * np.pi / 315
@@ -76,7 +76,7 @@ def test_a_shift_along_the_ray_is_not_seen_in_the_middle():
 
 
 def test_mspd_is_the_least_over_symmetries_of_the_greatest_over_vertices():
-    """By the definition, in plain NumPy without giving anything up early."""
+    """Oracle: the definition in plain NumPy, without early termination."""
     estimate = moved(TRUE, rotvec=[0.1, 0.2, 2.9], shift=[0.002, 0.001, 0.01])
     focal, middle = [400.0, 500.0], [160.0, 120.0]
 
@@ -100,7 +100,7 @@ TAUS = np.array([0.005, 0.010, 0.020])
 
 
 def surface(rows, z, shape=(10, 10)):
-    """A patch over some of the rows at one distance."""
+    """Return a distance image with a patch at one distance over some rows."""
     depth_m = np.full(shape, np.nan)
     depth_m[rows] = z
     return depth_m
@@ -119,7 +119,7 @@ def test_vsd_equal_to_the_tolerance_is_an_error():
 
 
 def test_vsd_leaves_out_what_something_hides():
-    """In rows 0 and 1 something is 16 mm before the true part: more than 15 mm hides, 14 do not."""
+    """Rows 0 and 1 are hidden by a surface 16 mm in front, but not by one at 14 mm."""
     true = surface(np.s_[0:4], 0.8)
     estimate = surface(np.s_[2:4], 0.8)
     for gap, error in ((0.016, 0.0), (0.014, 0.5)):
@@ -128,8 +128,8 @@ def test_vsd_leaves_out_what_something_hides():
         np.testing.assert_allclose(vsd(estimate, true, measured, TAUS), error)
 
 
-def test_what_stands_before_the_measured_surface_is_seen():
-    """The true part was picked up: only the estimate is there, 100 mm before what was measured."""
+def test_a_part_in_front_of_the_measured_surface_is_visible():
+    """The true part is absent; the estimate is 100 mm in front of the measured surface."""
     true, estimate = surface(np.s_[0:0], 0.8), surface(np.s_[0:4], 0.7)
     np.testing.assert_array_equal(vsd(estimate, true, np.full((10, 10), 0.8), TAUS), 1)
     shared = surface(np.s_[0:2], 0.7)
@@ -137,7 +137,7 @@ def test_what_stands_before_the_measured_surface_is_seen():
 
 
 def test_an_estimate_behind_the_measured_surface_is_seen_where_the_true_part_is():
-    """BOP's second clause: V of the estimate takes in the true part's visible pixels."""
+    """In BOP, the visibility mask of the estimate includes the true part's visible pixels."""
     true, estimate = surface(np.s_[0:4], 0.8), surface(np.s_[0:4], 0.83)
     error = vsd(estimate, true, np.full((10, 10), 0.8), np.array([0.02, 0.04]))
     np.testing.assert_array_equal(error, [1, 0])
@@ -146,6 +146,6 @@ def test_an_estimate_behind_the_measured_surface_is_seen_where_the_true_part_is(
     np.testing.assert_array_equal(vsd(combined, true, np.full((10, 10), 0.8), TAUS), [0, 0, 0])
 
 
-def test_where_nothing_is_visible_the_error_is_one():
+def test_the_error_is_one_where_no_pixel_is_visible():
     nothing = np.full((10, 10), np.nan)
     np.testing.assert_array_equal(vsd(nothing, nothing, nothing, TAUS), [1, 1, 1])

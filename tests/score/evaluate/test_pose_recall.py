@@ -1,4 +1,4 @@
-"""How BOP counts poses, and the command graycast robot score-poses."""
+"""Test the pose recall of BOP and the command `graycast robot score-poses`."""
 
 import csv
 import json

@@ -15,7 +15,7 @@ def test_the_area_is_the_share_of_pairs_in_order():
 
 
 def test_the_area_is_mann_and_whitney_s_u():
-    """Oracle: SciPy's own test."""
+    """Oracle: the Mann-Whitney U test of SciPy."""
     rng = np.random.default_rng(5)
     success = rng.random(300) < 0.3
     score = np.round(rng.random(300) + 0.3 * success, 1)
@@ -53,7 +53,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says():
 
 
 def test_scenes_that_agree_in_themselves_make_the_interval_wider():
-    """The same grips, once 4 alike in each scene: there are fewer independent ones."""
+    """Four equal grips in each scene leave fewer independent grips than four different ones."""
     rng = np.random.default_rng(2)
     success = np.repeat(rng.random(40) < 0.5, 4)
     score = np.repeat(rng.normal(success[::4] * 1.0, 1.0), 4)

@@ -75,7 +75,7 @@ def test_what_is_ignored_need_not_be_found_and_finding_it_twice_is_no_mistake():
 
 
 def test_a_detection_inside_something_ignored_is_no_mistake():
-    """COCO's rule for crowds: 1/4 of the instance is found, but all of the detection is inside."""
+    """COCO's crowd rule: the detection covers 1/4 of the instance but lies fully inside it."""
     labels = squares(0, [(0, 0), (20, 0)], visible=[0.05, 1], side=8)
     small = detected_squares(0, [(0, 0)], [0.99], side=4)
     good = detected_squares(0, [(20, 0)], [0.9])
@@ -91,8 +91,8 @@ def test_a_detection_inside_something_ignored_is_no_mistake():
     assert one_scene(both, labels=counted).ap < 0.5
 
 
-def test_classes_are_averaged_and_one_without_instances_is_none_of_them():
-    """Class 1 perfect, class 2 not found, class 3 is not there: its detections count nowhere."""
+def test_classes_without_instances_are_left_out_of_the_average():
+    """Class 1 is perfect, class 2 is missed; class 3 has no instances, so it is not averaged."""
     labels = squares(0, FOUR, obj_id=[1, 1, 2, 2])
     detections = detected_squares(
         0, [FOUR[0], FOUR[1], (40, 30)], [0.9, 0.8, 0.7], obj_id=[1, 1, 3]

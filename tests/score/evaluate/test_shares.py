@@ -11,8 +11,8 @@ def test_wilsons_interval_is_that_of_published_examples():
     assert wilson(0, 20) == pytest.approx((0.0, 0.16113), abs=1e-5)
 
 
-def test_mcnemars_chance_is_the_binomial_laws():
-    """Of 10 uneven pairs 1 the one way: 2 (1 + 10) / 2^10; as many both ways: no sign at all."""
+def test_mcnemars_p_value_is_that_of_the_binomial_distribution():
+    """Counts of 1 and 9 give p = 2 (1 + 10) / 2^10; equal counts give p = 1."""
     assert mcnemar(1, 9) == pytest.approx(2 * 11 / 1024)
     assert mcnemar(9, 1) == mcnemar(1, 9)
     assert mcnemar(5, 5) == mcnemar(0, 0) == 1.0

@@ -11,7 +11,7 @@ FINE = Optics(width_px=320, height_px=240, fx_px=400.0, fy_px=400.0, cx_px=159.5
 
 
 def from_above(x_m, y_m=0.0, z_m=1.0):
-    """A camera that looks at the origin."""
+    """Return a camera that looks at the origin."""
     return look_at(np.array([x_m, y_m, z_m]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
 
 
@@ -21,13 +21,13 @@ def world_rays(T_world_cam, camera=CAMERA):
 
 
 def plane_depth(T_world_cam, normal, offset_m, camera=CAMERA):
-    """z where `normal . p = offset_m`: a ray with unit z is as long in z as its factor."""
+    """Return z on the plane `normal . p = offset_m`: for rays with z = 1, the factor is z."""
     eye = T_world_cam[:3, 3]
     return (offset_m - normal @ eye) / (world_rays(T_world_cam, camera) @ normal)
 
 
 def sphere_depth(T_world_cam, middle_m, radius_m, camera=CAMERA):
-    """z of the nearer meeting; NaN where a ray passes by."""
+    """Return z of the nearer intersection; NaN where a ray misses the sphere."""
     ray = world_rays(T_world_cam, camera)
     to = T_world_cam[:3, 3] - np.asarray(middle_m)
     a, b = (ray**2).sum(-1), (ray * to).sum(-1)

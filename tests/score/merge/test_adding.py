@@ -39,7 +39,7 @@ def reasons(T, depth_m, true_m, reason=None):
 
 
 def test_a_camera_over_an_edge_measures_the_two_faces_that_it_sees():
-    """Oracle: two of a cube's six faces."""
+    """Oracle: the camera sees two of the six faces of a cube."""
     T = from_above(-0.5, 0.0, 0.5)
     true_m = cube_depth(T)
     surface, why = reasons(T, true_m, true_m)
@@ -59,7 +59,7 @@ def test_a_place_in_front_of_the_picture_or_behind_something_is_no_fault_of_the_
     assert set(why.tolist()) == {HIDDEN, OUTSIDE}
 
 
-def test_a_hole_has_the_scanners_reason_and_a_wrong_depth_is_none():
+def test_a_hole_has_the_scanners_reason_and_a_wrong_depth_is_no_hole():
     T = from_above(0.0)
     true_m = cube_depth(T)
     depth_m = true_m.copy()
@@ -97,12 +97,12 @@ def test_each_step_of_the_order_adds_as_much_as_any_view_could(seed):
     assert gains[0] == max(map(len, sets))
 
 
-def test_of_equal_views_the_first_comes_first():
+def test_equal_views_keep_their_order():
     assert best_order(np.ones((3, 4), dtype=bool)) == ((0, 1, 2), (4, 0, 0))
 
 
 def test_shares_of_the_surface_are_counted_view_by_view():
-    """By hand: five places of eight are seen, and one of these nobody measured."""
+    """Five of eight surface points are visible; one of these five is not measured by any view."""
     why = np.array([[0, 0, 0, 2, 2], [0, 2, HIDDEN, 0, WRONG]], dtype=np.uint8)
     record = surface_figures(SurfaceCoverage(why=why, of=8), ["left", "right"], {2: "saturated"})
     assert record["visible"] == 5 / 8 and record["measured"] == 4 / 5

@@ -16,7 +16,7 @@ def noisy(depth_m, rng, sigma_m=SIGMA_M):
 
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow), 5])
 def test_sigma_of_equal_views_falls_with_the_root_of_their_number(count):
-    """Oracle: the law of the mean of independent measurements, stated and as it scatters."""
+    """Oracle: the standard error of a mean, for the stated sigma and the observed scatter."""
     T, rng = from_above(0.0), np.random.default_rng(count)
     depth_m = plane_depth(T, UP, 0.0)
     one = fuse([view(depth_m, T, SIGMA_M)]).cloud
@@ -55,8 +55,8 @@ def test_weights_are_inverse_variances():
     assert cloud.point_m[middle, 2] == pytest.approx(0.5e-3 / 10, rel=0.01)
 
 
-def test_a_place_stands_in_the_cloud_once():
-    """Two views of one plane: as many points as the finer view has, plus what it does not see."""
+def test_a_point_seen_by_several_views_is_in_the_cloud_once():
+    """Two views of a plane keep the finer view's points, plus those that it does not see."""
     near, far = from_above(0.0, z_m=0.5), from_above(0.0, z_m=1.0)
     views = [view(plane_depth(T, UP, 0.0), T, SIGMA_M) for T in (far, near)]
     cloud = fuse(views).cloud
@@ -93,7 +93,7 @@ def test_a_flying_point_that_another_view_sees_through_is_rejected():
 
 
 def test_what_one_view_hides_from_another_contradicts_nothing():
-    """A ball over a plane: each view sees plane that the ball hides from the other."""
+    """Each view sees an area of the plane that the ball hides from the other view."""
     places = [from_above(-0.5), from_above(0.5)]
     ball = [sphere_depth(T, (0.0, 0.0, 0.1), 0.06, FINE) for T in places]
     views = [
@@ -109,7 +109,7 @@ def test_what_one_view_hides_from_another_contradicts_nothing():
     assert (cloud.first_reason[on_plane & (cloud.view == 1)] == HIDDEN).sum() > 50
 
 
-def test_the_first_views_reason_is_told_where_another_filled_it():
+def test_a_hole_filled_by_another_view_keeps_the_first_views_reason():
     left, right = from_above(-0.3), from_above(0.3)
     holed = plane_depth(left, UP, 0.0)
     holed[20:40, 20:40] = np.nan
@@ -124,8 +124,8 @@ def test_the_first_views_reason_is_told_where_another_filled_it():
     assert (cloud.views[filled] == 1).all() and (cloud.view[filled] == 1).all()
 
 
-def test_two_sides_of_a_thin_sheet_stay_two():
-    """They lie nearer to each other than the noise would tell apart; their normals do."""
+def test_two_sides_of_a_thin_sheet_stay_separate():
+    """The sides are closer together than the noise, but their normals differ."""
     above, below = from_above(0.0, 0.001, 1.0), from_above(0.0, 0.001, -1.0)
     views = [
         view(plane_depth(above, UP, 0.2e-3), above, SIGMA_M),

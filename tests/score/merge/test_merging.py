@@ -21,7 +21,7 @@ def merged(master, tmp_path_factory):  # noqa: F811
 
 
 def test_the_cloud_of_one_view_is_its_depth_in_the_world(merged, samples):  # noqa: F811
-    """Oracle: the sample itself, by its camera's matrix."""
+    """Oracle: the depth of the sample, back-projected with the camera matrix."""
     sample = samples[3]
     lines, cloud, count = read_vertices(merged / "train-000003.ply")
     K, T = sample.scene.rig.camera.K, sample.scene.T_world_cam
@@ -89,7 +89,7 @@ def test_real_pictures_are_refused(tmp_path, monkeypatch, master):  # noqa: F811
 
 @pytest.mark.slow
 def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noqa: F811
-    """Oracle: the parts and the floor as they lie, and what each picture sees of them."""
+    """Oracle: the known positions of the parts and the floor, and their visibility per picture."""
     out, taken = several
     record = merge(out, tmp_path / "clouds")
     assert record["scenes"] == ["train-000000", "train-000003"]

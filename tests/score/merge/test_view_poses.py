@@ -20,7 +20,7 @@ PLACES = [from_above(-0.15), from_above(0.2, 0.05), from_above(0.0, -0.2)]
 
 
 def taken(T, name, rng):
-    """Three balls on a floor, which hold a view in every direction."""
+    """Return three balls on a floor, which constrain the pose of a view in every direction."""
     depth_m = plane_depth(T, UP, 0.0, CAMERA)
     for middle in ((0.05, 0.05, 0.05), (0.12, -0.08, 0.08), (-0.05, -0.1, 0.06)):
         depth_m = np.fmin(depth_m, sphere_depth(T, middle, middle[2], CAMERA))
@@ -40,7 +40,7 @@ def doubts(views, **changed):
     return pose_doubts(posed, [points_of(v) for v in posed])
 
 
-def test_right_poses_raise_no_doubt(views):
+def test_correct_poses_give_no_warning(views):
     assert fuse(views).doubts == ()
     assert doubts(views[:2]) == ()
     assert doubts(views[:1]) == ()
@@ -50,7 +50,7 @@ def test_right_poses_raise_no_doubt(views):
     ("number", "shift_mm"), [(1, (0, 0, 1)), (2, (0, 0, -1)), (0, (5, 0, 0)), (2, (0, -5, 0))]
 )
 def test_a_view_that_is_shifted_is_named_with_the_way_back(views, number, shift_mm):
-    """Oracle: the way back is the shift that was made, in the camera's axes."""
+    """Oracle: the correction is the inverse of the applied shift, in the camera's axes."""
     T = views[number].T_world_cam @ rigid(np.eye(3), np.array(shift_mm) / 1e3)
     (doubt,) = doubts(views, **{f"v{number}": T})
     assert doubt.startswith(f"view v{number} does not lie where view v")
@@ -79,7 +79,7 @@ def test_the_usual_mistakes_in_a_pose_are_named(views, change, message):
     assert doubt.startswith("view v1 ") and f"with the pose of view v1 {message}" in doubt
 
 
-def test_a_pose_that_nothing_mends_is_named_so(views):
+def test_a_pose_that_cannot_be_corrected_is_reported(views):
     far = views[1].T_world_cam @ rigid(np.eye(3), np.array([0.0, 0.0, 0.3]))
     (doubt,) = doubts(views, v1=far)
     assert "view v1 agrees with no other view" in doubt and "does not help" in doubt
@@ -90,7 +90,7 @@ def test_a_mistake_in_all_poses_is_named_as_such(views):
     assert "with all poses inverted they do" in doubt
 
 
-def test_of_two_views_nobody_knows_which_is_off(views):
+def test_with_two_views_the_wrong_one_cannot_be_identified(views):
     T = views[1].T_world_cam @ rigid(np.eye(3), np.array([0.0, 0.0, 1e-3]))
     (doubt,) = doubts(views[:2], v1=T)
     assert "one of the two poses is off" in doubt

@@ -69,7 +69,7 @@ def test_a_sphere_too_large_for_the_volume_is_refused():
 
 
 def test_a_sphere_in_the_shadow_of_another_is_not_clear():
-    """Seen from the camera they are apart; on one line from the projector they are not."""
+    """The camera sees the spheres apart, but they are on one line from the projector."""
     rig = make_rig(centred(64, 48, 80), centred(64, 48, 80), baseline_m=(0.3, 0.0, 0.0))
     projector = np.array([0.3, 0.0, 0.0])
     pair = projector + np.outer([1.0, 1.5], [-0.2, 0.1, 1.0])

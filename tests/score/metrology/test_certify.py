@@ -62,7 +62,7 @@ def test_temporal_noise_is_the_standard_deviation_that_the_decoder_propagates(ce
 
 
 def test_point_spacing_is_depth_over_focal_length(mitsuba_renderer):
-    """Measured depth stands for the true one: the spacing is as noisy as it."""
+    """Measured depth replaces the true depth, so the spacing is equally noisy."""
     few = replace(LITTLE, captures=2)
     certificate = certify(small_scanner(), renderer=mitsuba_renderer, seed=3, scope=few)
     for plane in certificate.facing:
@@ -89,7 +89,7 @@ def test_the_written_certificate_is_json_and_a_page_that_needs_nothing_else(cert
 
 
 class _Tags(HTMLParser):
-    """Which elements there are, that all are closed in turn, and what pictures are taken from."""
+    """Collect element names and link targets, and check that elements close in order."""
 
     def __init__(self):
         super().__init__()
@@ -129,7 +129,7 @@ def test_progress_counts_every_scene(mitsuba_renderer):
 
 @pytest.mark.slow
 def test_a_scanner_without_noise_certifies_nearly_nothing(mitsuba_renderer):
-    """What is left are the projector's pixels: each of n paths of a camera pixel sees one column,
+    """Only the projector's pixels limit it: each of n paths of a camera pixel sees one column,
     evenly up to half a column off, so their mean is off by 1 / sqrt(12 n) columns. Without filters
     that is the deviation of every point; a sphere's slope adds to it.
     """

@@ -132,7 +132,7 @@ def test_temporal_noise_is_the_sigma_that_was_put_in(captures):
     assert abs(temporal_noise_m(loud, everywhere) / 2e-4 - 1) > 3 * chi_error  # 10 % shows
 
 
-def test_temporal_noise_of_nothing_is_unknown():
+def test_temporal_noise_without_points_is_unknown():
     assert np.isnan(temporal_noise_m(np.zeros((2, 4, 4)), np.zeros((4, 4), dtype=bool)))
     with pytest.raises(ValueError, match="no scatter"):
         temporal_noise_m(np.zeros((1, 4, 4)), np.ones((4, 4), dtype=bool))

@@ -65,7 +65,7 @@ def test_the_line_about_a_new_cell_agrees_with_the_configuration(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.044)).export("block.stl")
     assert main(["new", "cell", "--part", "block.stl", "--unit", "m"]) == 0
-    line = capsys.readouterr().out.splitlines()[-1].strip()
+    line = capsys.readouterr().out.splitlines()[-1]
     config = load_config(tmp_path / "cell/cell.yaml")
     widths = []
     for resolution in ("full", "small"):
@@ -161,3 +161,6 @@ def test_new_prints_size_and_mass_and_comments_on_an_implausible_unit(
     text = capsys.readouterr().out
     assert f"block: {size}, {mass}\n" in text
     assert (note in text) if note else ("note:" not in text)
+    *commands, scanner = text.splitlines()[-4:]  # Only the commands are indented.
+    assert all(line.startswith("  graycast ") for line in commands)
+    assert scanner == scanner.strip() and "the bin fills" in scanner

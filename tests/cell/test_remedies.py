@@ -54,9 +54,12 @@ def test_depth_that_is_bought_with_wrong_depths_is_no_remedy():
     assert "`decode` is no remedy" in alone
 
 
-def test_changes_that_give_no_depth_are_listed():
+def test_if_no_change_gives_more_depth_the_changes_and_the_wrong_depths_are_stated():
     tries = {"exposure": of(0.134, 0.0), "decode": of(0.1, 0.0)}
-    assert advice(of(0.13, 0.0), tries) == "none of these changes helps: exposure; decode"
+    assert advice(of(0.13, 0.021), tries) == (
+        "now 2.1% of the depths are wrong (over 1 mm and 5 sigma off); none of these changes gives "
+        "more depth: `exposure`, `decode`"
+    )
 
 
 def test_a_depth_is_wrong_only_beyond_both_limits_and_only_parts_count():

@@ -483,7 +483,7 @@ def test_parts_lists_the_built_in_parts_or_those_of_a_configuration(capsys, cell
     assert "72 g" in own  # 72 cubic centimetres of the default density, 1000 kg/m3
     assert "toothpaste" not in own
     scene = load_cell(cell_and_dataset[0]).scene
-    assert f"\nin the picture of {scene.rig.name}, {framing_line(scene)}\n" in own
+    assert f"\nwith {scene.rig.name}, {framing_line(scene)}\n" in own
     # Its diagonal is 78.1 mm, and one hull is the box itself.
     assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own
     # It has the three half rotations of a box, and states none of them.

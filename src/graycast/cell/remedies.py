@@ -63,7 +63,7 @@ def depth_shares(
 
 
 def advice(now: DepthShares, tries: Mapping[str, DepthShares]) -> str:
-    """Return which change gives most depth without more wrong depths, with both shares.
+    """Return the share of wrong depths, and the change that gives most depth without more of them.
 
     A change that gives more depth than this one, but also more wrong depths, is named with what
     it costs.
@@ -71,12 +71,12 @@ def advice(now: DepthShares, tries: Mapping[str, DepthShares]) -> str:
     Args:
         tries: the shares that each change has, by its words.
     """
-    gains = {words: each for words, each in tries.items() if each.depth >= now.depth + LEAST_GAIN}
-    if not gains:
-        return f"none of these changes helps: {'; '.join(tries)}"
-    true = {words: each for words, each in gains.items() if each.wrong <= now.wrong + MORE_WRONG}
     limits = f"over {1e3 * WRONG_M:g} mm and {WRONG_SIGMAS:g} sigma off"
     words, most = [f"now {now.wrong:.1%} of the depths are wrong ({limits})"], 0.0
+    gains = {words: each for words, each in tries.items() if each.depth >= now.depth + LEAST_GAIN}
+    if not gains:
+        return f"{words[0]}; none of these changes gives more depth: `{'`, `'.join(tries)}`"
+    true = {words: each for words, each in gains.items() if each.wrong <= now.wrong + MORE_WRONG}
     if true:
         best = max(true, key=lambda words: true[words].depth)
         most = true[best].depth

@@ -33,7 +33,7 @@ def _parts(options: argparse.Namespace) -> int:
         scene = cell_of(options).scene
         parts = scene.parts
         print(describe_parts(parts))
-        print(f"in the picture of {scene.rig.name}, {framing_line(scene)}")
+        print(f"with {scene.rig.name}, {framing_line(scene)}")
         _describe_hulls(parts)
     if options.out is not None:
         from ..rendering import open_renderer

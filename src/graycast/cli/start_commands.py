@@ -97,7 +97,7 @@ def _new(options: argparse.Namespace) -> None:
         print(f"note: {note}")
     print(path)
     for line in path.read_text(encoding="utf-8").splitlines()[1:5]:
-        print(line.removeprefix("#"))
+        print(line.removeprefix("# "))
 
 
 def _write_cell(

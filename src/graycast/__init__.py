@@ -123,7 +123,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .world.parts import Part as Part
     from .world.parts import builtin_part as builtin_part
     from .world.parts import load_part as load_part
-    from .world.parts.part_sections import MaterialSection as MaterialSection
+    from .world.parts.material_section import MaterialSection as MaterialSection
     from .world.parts.part_sections import PartSection as PartSection
     from .world.scene import Bin as Bin
     from .world.scene import Environment as Environment
@@ -139,7 +139,8 @@ _MODULE = {
         "rig.pattern": "Code CodeSpec Frame",
         "world.drop": "DropLimits drop",
         "world.parts": "Material Mesh Part builtin_part load_part",
-        "world.parts.part_sections": "MaterialSection PartSection",
+        "world.parts.material_section": "MaterialSection",
+        "world.parts.part_sections": "PartSection",
         "world.scene": "Bin Environment Lamp Layout Scene",
         "rendering": "GroundTruth Quality Radiance Renderer Rendering open_renderer render",
         "camera.decode": "CodeMap DecodeSpec DepthMap FilterSpec Levels Reason decode triangulate",

@@ -30,7 +30,7 @@ from graycast.cli import main
 from graycast.dataset.safe_reading import Unreadable, read_png
 from graycast.real.depth_file import FileOptions, read_image, read_intrinsics
 from graycast.real.picture_pairs import RealPicture, read_shot
-from graycast.world.parts.part_sections import read_texture
+from graycast.world.parts.material_section import read_texture
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "graycast"
 SIDE = 12_000  # for a picture that is too large

@@ -26,7 +26,7 @@ from graycast.rendering import Quality
 from graycast.rig.pair import PRESETS
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
 from graycast.world.parts import Material, builtin_part
-from graycast.world.parts.part_sections import MaterialSection
+from graycast.world.parts.material_section import MaterialSection
 from graycast.world.scene import Bin, Environment
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,12 +12,8 @@ from stage import centred, in_camera, make_rig, plain_pattern, wall
 from graycast.base.errors import ConfigError
 from graycast.rendering import Quality
 from graycast.world.parts import Material
-from graycast.world.parts.part_sections import (
-    MaterialSection,
-    PartSection,
-    resolve_material,
-    resolve_part,
-)
+from graycast.world.parts.material_section import MaterialSection, resolve_material
+from graycast.world.parts.part_sections import PartSection, resolve_part
 from graycast.world.scene import EMPTY_LAYOUT, Lamp
 
 METAL = Material(base_color=(0.9, 0.6, 0.3), metallic=1.0, roughness=0.8)

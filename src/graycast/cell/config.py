@@ -23,13 +23,8 @@ from ..rig.former_names import RigName
 from ..world.bins import Up, load_bin
 from ..world.drop import DropLimits
 from ..world.parts import Material, Part
-from ..world.parts.part_sections import (
-    MaterialWords,
-    PartSection,
-    Unit,
-    resolve_material,
-    resolve_part,
-)
+from ..world.parts.material_section import MaterialWords, resolve_material
+from ..world.parts.part_sections import PartSection, Unit, resolve_part
 from ..world.parts.wood import wood_texture
 from ..world.scene import BandRadiance, Bin, Environment, Inner, Lamp, Wall
 from .domain import DomainSection

@@ -22,7 +22,7 @@ from ..rendering import OnPass, Renderer, open_renderer
 from ..rig.pair import grey_levels
 from ..rig.pattern import Code
 from ..world.parts import Part, files_of_mesh, glass_notes, size_notes
-from ..world.parts.part_sections import resolve_material
+from ..world.parts.material_section import resolve_material
 from ..world.scene import Scene, bin_of
 from .config import (
     Config,

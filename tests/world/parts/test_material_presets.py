@@ -12,8 +12,9 @@ from graycast.cell.config import load_config
 from graycast.cell.domain.looks import retouched
 from graycast.dataset.claim import part_digest
 from graycast.world.parts import MATERIALS, Grain, Material, Mesh, builtin_part, material_preset
+from graycast.world.parts.material_section import MaterialSection, resolve_material
 from graycast.world.parts.part import corner_grain
-from graycast.world.parts.part_sections import MaterialSection, resolve_material, resolve_part
+from graycast.world.parts.part_sections import resolve_part
 from graycast.world.scene import Sphere
 
 # (wavelength [um], n, k) around 610, 550 and 465 nm, as printed in the sources of `MATERIALS`.

@@ -15,7 +15,7 @@ from ...base.errors import ConfigError
 from ...base.frames import axis_rotation, inverse, rigid, transform_points
 from ...rig.pair import frame_in_camera, standoff_m
 from ...world.parts import Part
-from ...world.parts.part_sections import read_texture
+from ...world.parts.material_section import read_texture
 from ...world.scene import Bin, Environment, Lamp, Scene, bin_of
 from .looks import color_of, light_of, material_of, retouched
 from .named_files import Domain

@@ -17,7 +17,7 @@ from ...cell.config import Config
 from ...cell.resolve import Cell, open_cell_renderer
 from ...dataset.json_text import plain
 from ...world.parts import Material
-from ...world.parts.part_sections import MaterialSection, material_words
+from ...world.parts.material_section import MaterialSection, material_words
 from ...world.scene import Bin, bin_of
 from ..depth_file import read_gray
 from ..fitted_config import fitted_text, refuse_there

@@ -29,9 +29,9 @@ from ...dataset.records import MM_PER_M, Continuous, Count, Matrix4, Positive
 from ...dataset.rescanned import claim_kind
 from ...world.parts import Material, Mesh, Part, Symmetry
 from ...world.parts.builtin import CREASE_RAD
+from ...world.parts.material_section import MaterialSection, resolve_material
 from ...world.parts.meshfile import SIZE_M, read_surface
 from ...world.parts.normals import crease_normals
-from ...world.parts.part_sections import MaterialSection, resolve_material
 from ...world.parts.surface import RawMesh, Refusal, welded
 from .source_files import record_of
 

@@ -15,7 +15,7 @@ from ...cell.config import BinSection
 from ...rig.former_names import RigName
 from ...rig.pair import PRESETS
 from ...rig.shelf import no_rig
-from ...world.parts.part_sections import MaterialSection
+from ...world.parts.material_section import MaterialSection
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # It becomes part of a path.
 Code = Annotated[Settings, read_as(CodeSection)]

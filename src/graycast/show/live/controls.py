@@ -13,7 +13,7 @@ from ...cell.resolve import Cell
 from ...rig.pair import PRESETS, RESOLUTIONS, standoff_m
 from ...rig.pattern import CODECS
 from ...world.parts import BUILTIN
-from ...world.parts.part_sections import material_words, resolve_material
+from ...world.parts.material_section import material_words, resolve_material
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int

@@ -35,6 +35,7 @@ CHANGES = {
     "color_depth_m": replace(GLASS, color_depth_m=0.02),
     "roughness_map": replace(VARIED, roughness_map=np.full((3, 2), 200, dtype=np.uint8)),
     "film": replace(METAL, film=0.05),
+    "diffuse": replace(METAL, diffuse=0.3),
     "density_kg_m3": replace(BOX, density_kg_m3=801.0),
     "friction": replace(BOX, friction=0.51),
     "discrete": replace(MOTIONS, discrete=(TURN @ TURN,)),
@@ -47,7 +48,7 @@ CHANGES = {
 def before(field):
     if field in ("anisotropy", "grain"):
         return replace(BOX, material=GROOVED)
-    if field == "film":
+    if field in ("film", "diffuse"):
         return replace(BOX, material=METAL)
     if field == "roughness_map":
         return replace(BOX, material=VARIED)

@@ -135,7 +135,7 @@ def test_only_metal_may_have_a_film():
     for words, message in (
         ({"film": 0.05}, "has metallic 0"),
         ({"film": 0.05, "metallic": 1.0, "specular": 0.0}, "has specular 0"),
-        ({"film": 0.05, "metallic": 1.0, "roughness_map": np.zeros((2, 2), np.uint8)}, "a rough"),
+        ({"film": 0.05, "metallic": 1.0, "roughness_map": np.zeros((2, 2), np.uint8)}, "has rough"),
     ):
         with pytest.raises(ValueError, match=message):
             Material(**words)

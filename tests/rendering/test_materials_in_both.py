@@ -43,7 +43,7 @@ def in_cycles(tmp_path_factory):
 
 
 def in_words(material, view_deg, lamp_deg):
-    names = ("base_color", "metallic", "roughness", "ior", "anisotropy")
+    names = ("base_color", "metallic", "roughness", "ior", "anisotropy", "diffuse")
     return {
         "words": {name: getattr(material, name) for name in names}
         | dict.fromkeys(("texture", "roughness_map", "radiance")),
@@ -167,6 +167,28 @@ def test_a_half_metallic_surface_is_half_of_each_material_in_both(cpu_device, in
     cases = [
         (with_words(metallic=0.4, roughness=r, specular=s), view, lamp)
         for r, s, view, lamp in product((0.3, 0.8), (0.0, 0.5), (0, 60), [None, (60, 180)])
+    ]
+    ratio, error = compared(in_cycles, cases)
+    assert (np.abs(ratio - 1) < 0.03 + 4 * error).all()
+
+
+def test_metal_that_scatters_light_looks_the_same_in_both(cpu_device, in_cycles):
+    """Both add Lambert's law to one model of metal, so the limit is that of plain metal."""
+    cases = [
+        (with_words(metallic=1.0, roughness=r, diffuse=d), view, lamp)
+        for r, d, view, lamp in product(
+            (0.3, 0.6), (0.3, 1.0), (0, 40), [None, (40, 180), (60, 90)]
+        )
+    ]
+    ratio, error = compared(in_cycles, cases)
+    assert (np.abs(ratio - 1) < 0.003 + 4 * error).all()
+
+
+def test_half_metal_that_scatters_light_looks_the_same_in_both(cpu_device, in_cycles):
+    """The limit is that of a half metallic surface."""
+    cases = [
+        (with_words(metallic=0.4, roughness=0.4, diffuse=0.6), view, lamp)
+        for view, lamp in product((0, 60), [None, (60, 180)])
     ]
     ratio, error = compared(in_cycles, cases)
     assert (np.abs(ratio - 1) < 0.03 + 4 * error).all()

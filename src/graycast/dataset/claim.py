@@ -185,6 +185,8 @@ def part_digest(part: Part) -> str:
         look += (material.transparent, material.color_depth_m)
     if material.film is not None:
         look += ("film", material.film)
+    if material.diffuse > 0:
+        look += ("diffuse", material.diffuse)
     if (roughness_map := material.roughness_map) is not None:
         content = hashlib.sha256(np.ascontiguousarray(roughness_map).tobytes()).hexdigest()
         look += ("roughness_map", roughness_map.shape, content)

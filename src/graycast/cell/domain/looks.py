@@ -74,6 +74,7 @@ def retouched(
         metallic=metallic,
         anisotropy=material.anisotropy if metallic > 0 else 0.0,
         film=material.film if metallic > 0 else None,
+        diffuse=material.diffuse if metallic > 0 else 0.0,
     )
 
 

@@ -209,6 +209,7 @@ def _material(
         "metallic": material.metallic,
         "roughness": material.roughness,
         "anisotropy": material.anisotropy,
+        "diffuse": material.diffuse,
         "ior": material.ior,
         "radiance": radiance,
     }

@@ -98,7 +98,8 @@ def _is_shiny(material: Material) -> bool:
         return True
     coat = ((material.ior - 1) / (material.ior + 1)) ** 2 if material.specular else 0.0
     metal = 1.0 if material.texture is not None else max(material.base_color)
-    normal = metal * material.metallic + coat * (1 - material.metallic)
+    mirrored = material.metallic * (1 - material.diffuse)
+    normal = metal * mirrored + coat * (1 - material.metallic)
     films = material.film is not None and coat / (4 * material.film**4) > 1
     return films or normal / (4 * material.smoothest**4) > 1
 
@@ -144,6 +145,17 @@ def _glass(material: Material) -> dict[str, object]:
 
 
 def _conductor(material: Material) -> dict[str, object]:
+    if material.diffuse == 0:
+        return _facets(material)
+    return {
+        "type": "blendbsdf",
+        "weight": material.diffuse,
+        "facets": _facets(material),
+        "scattered": {"type": "diffuse", "reflectance": _reflectance(material)},
+    }
+
+
+def _facets(material: Material) -> dict[str, object]:
     reflectance = {"reflectance": _reflectance(material)}
     if material.film is not None:
         film = {"film_alpha": material.film**2, "eta": material.ior}

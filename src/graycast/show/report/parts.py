@@ -204,6 +204,8 @@ def _material_words(material: Material) -> str:
         shine += " times a map {1} x {0}".format(*material.roughness_map.shape)
     if material.film is not None:
         shine += f", under a film of roughness {material.film:g}"
+    if material.diffuse > 0:
+        shine += f", {100 * material.diffuse:.0f} % scattered"
     if (grain := material.grooves) is not None:
         way = "turned about" if grain.turned else "brushed along"
         shine += f", {way} {_axis_words(grain.axis)} ({material.anisotropy:g})"

@@ -110,6 +110,12 @@ class MaterialSection(Settings):
         "default is its origin.",
     )
 
+    diffuse: Share | None = Field(
+        default=None,
+        description="The share of a metal's light that is scattered in all directions, as by a "
+        "blasted or an anodised surface: 0 scatters nothing, 1 is matt. It needs metallic above 0. "
+        "The default is 0.",
+    )
     film: Roughness | None = Field(
         default=None,
         description="The roughness of a clear film over metal, such as oil or lacquer; its index "

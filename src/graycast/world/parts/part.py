@@ -66,8 +66,11 @@ class Material:
     `film` is the roughness of a clear film over metal, such as oil or lacquer, of the index that
     `specular` gives. `base_color` is then the metal's reflectance in the film, less than in air.
 
-    Leaves out: translucency, films over grooves or a map, anisotropic coats, spectra finer than
-    three bands and that one line.
+    `diffuse` is the share of a metal's light that leaves in all directions by Lambert's law, since
+    steep facets of a blasted surface or an oxide layer scatter it several times.
+
+    Leaves out: translucency, films over grooves, a map or scattering metal, anisotropic coats,
+    spectra finer than three bands and that one line.
     """
 
     base_color: Color = (0.5, 0.5, 0.5)
@@ -82,6 +85,7 @@ class Material:
     color_depth_m: Positive = 0.01
     roughness_map: UInt8[np.ndarray, "rows columns"] | None = None
     film: Roughness | None = None
+    diffuse: Share = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -89,6 +93,11 @@ class Material:
             raise ValueError(
                 f"anisotropy is {self.anisotropy}, which needs metal (metallic above 0) and the "
                 "direction of its grooves (grain or turned)"
+            )
+        if self.diffuse > 0 and self.metallic == 0:
+            raise ValueError(
+                f"diffuse is {self.diffuse}, a share of metal's light, but metallic is 0: set "
+                "metallic above 0, or remove diffuse"
             )
         if self.transparent is not None and self.metallic > 0:
             raise ValueError(f"metallic is {self.metallic} of a transparent material: set it to 0")
@@ -107,9 +116,10 @@ class Material:
         if self.metallic == 0 or self.specular == 0:
             key = "metallic" if self.metallic == 0 else "specular"
             raise ValueError(f"a material with a film has {key} 0: set it above 0, or remove film")
-        if self.anisotropy > 0 or self.roughness_map is not None:
-            what = "an anisotropy" if self.anisotropy > 0 else "a roughness_map"
-            raise ValueError(f"a material with a film has {what}: remove one of the two")
+        keys = {"anisotropy": self.anisotropy > 0, "diffuse": self.diffuse > 0}
+        for key, has in (keys | {"roughness_map": self.roughness_map is not None}).items():
+            if has:
+                raise ValueError(f"a material with a film has {key}: remove one of the two")
 
     def scaled(self, factor: float) -> "Material":
         """Return the material for a mesh `factor` times as large: the lathe's axis moves."""
@@ -132,6 +142,8 @@ class Material:
                 words["color_depth_m"] = self.color_depth_m
         if self.film is not None:
             words["film"] = self.film
+        if self.diffuse > 0:
+            words["diffuse"] = self.diffuse
         if (grain := self.grooves) is not None:
             words["anisotropy"] = self.anisotropy
             words["turned" if grain.turned else "grain"] = list(grain.axis)

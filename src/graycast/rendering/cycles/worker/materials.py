@@ -75,7 +75,23 @@ class Surface:
         if words["anisotropy"] > 0:
             node.inputs["Anisotropic"].default_value = words["anisotropy"]
             self.nodes.put(node.inputs["Tangent"], self._across_grain())
+        if words["diffuse"] > 0:
+            return self._with_scattered(node, words, base)
         return node.outputs[0]
+
+    def _with_scattered(
+        self, node: bpy.types.Node, words: dict[str, Any], base: object
+    ) -> bpy.types.NodeSocket:
+        """Return a mix of a Principled shader and Lambert's law, a share of the metal's light."""
+        share = words["metallic"] * words["diffuse"]
+        if share < 1:  # The Principled shader has less metal, so that the mix has all of it.
+            node.inputs["Metallic"].default_value = (words["metallic"] - share) / (1 - share)
+        scattered = self.nodes.new("ShaderNodeBsdfDiffuse")
+        self.nodes.put(scattered.inputs["Color"], base)
+        mix = self.nodes.new("ShaderNodeMixShader")
+        for place, value in enumerate((share, node.outputs[0], scattered.outputs[0])):
+            self.nodes.put(mix.inputs[place], value)
+        return mix.outputs[0]
 
     def _across_grain(self) -> bpy.types.NodeSocket:
         """Return the direction in which Cycles' facets are widest, in world coordinates."""

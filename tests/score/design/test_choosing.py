@@ -78,6 +78,7 @@ def test_a_setting_without_figures_is_on_no_front_and_equal_ones_are_on_it_toget
     assert on_front(np.array([[math.nan, 0.0, 0.0], [0.5, 1.0, 1.0]])) == [False, True]
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_mean_holds_it_19_times_in_20():
     """Oracle: the meaning of 95 %; 2000 experiments of 4 normal values have a standard error of
     0.5 %. A heap that could not be made is left out."""

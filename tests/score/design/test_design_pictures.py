@@ -11,6 +11,7 @@ from test_choosing import row, spec
 from graycast.score.design import design_tables
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, slow(25)])
 def test_a_picture_of_a_study_names_settings_without_overlap_and_shows_intervals(tmp_path, count):
     """Two settings are both named and neither is on an axis; the names of many stay apart."""

@@ -60,6 +60,7 @@ def test_scanners_of_the_shelf_are_compared_by_name(tmp_path):
     assert [one.cell.scene.rig.camera.width_px for one in placed] == [486, 612]
 
 
+@pytest.mark.slow
 def test_codes_and_exposures_share_their_light(tmp_path):
     sweeps = [
         {"distance_m": [0.6, 0.9], "code": ["gray", "phase"], "exposure": ["one", "two"]},
@@ -81,6 +82,7 @@ def test_a_setting_hangs_its_rig_where_it_says(tmp_path):
     assert np.degrees(np.arccos(away[2] / 0.8)) == pytest.approx(20)
 
 
+@pytest.mark.slow
 def test_every_key_of_a_setting_reaches_its_cell(tmp_path):
     sweeps = [
         {
@@ -184,6 +186,7 @@ def test_a_study_without_its_cell_is_refused_in_one_line(tmp_path, capsys):
     assert_refused(capsys, path, tmp_path / "out", ["cell.yaml", "no such file"])
 
 
+@pytest.mark.slow
 def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
     path, out = write_study(tmp_path), tmp_path / "out"
     out.mkdir()

@@ -91,6 +91,7 @@ def test_what_a_wall_hides_from_the_camera_is_its_own_kind_and_no_shadow():
     assert share_of(view.projector, surface, Visibility.VISIBLE) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height_m", [0.42, 0.55])
 def test_a_camera_sees_its_field_of_view_and_no_more(height_m):
     """Oracle: a picture of w x h pixels covers (w z / f) (h z / f) of a plane at z."""
@@ -103,6 +104,7 @@ def test_a_camera_sees_its_field_of_view_and_no_more(height_m):
     assert share == pytest.approx(field_m2 / (LENGTH_M * WIDTH_M), rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_open_surface_weighs_what_it_shows_from_above():
     """Oracle: under a cone of 0 degrees the weights times the area are the plate's silhouette; its
     sides and its underside weigh nothing. A wider cone sees its top by the mean cosine."""
@@ -153,6 +155,7 @@ def test_a_convex_part_alone_hides_nothing_of_what_looks_at_the_eye(lean_rad):
     assert (visible == towards).mean() > 0.999
 
 
+@pytest.mark.slow
 def test_small_pictures_are_enlarged_about_the_same_field():
     """A camera with 30 pixels sees the same surface as one with 300 pixels."""
     for times in (1, 10):

@@ -78,6 +78,7 @@ def refusal(capsys, *arguments):
     return text
 
 
+@pytest.mark.slow
 def test_the_truth_as_detections_scores_one_in_every_file(master, results, tmp_path, capsys):
     out = tmp_path / "out"
     with no_pixels():
@@ -131,6 +132,7 @@ def test_what_is_missed_and_false_comes_as_sheets_and_counts(master, tmp_path):
     assert sum(kinds["box"]["working_point"]["false_alarms"].values()) == scenes[0]["false"]
 
 
+@pytest.mark.slow
 def test_a_run_s_own_scenes_are_judged_and_its_division_is_taken(master, tmp_path):
     whole = open_examples(master)
     division = Split(shares=(0.5, 0.0, 0.5), seed=1)
@@ -144,6 +146,7 @@ def test_a_run_s_own_scenes_are_judged_and_its_division_is_taken(master, tmp_pat
     assert record["median_ms_per_picture"] == 4.0
 
 
+@pytest.mark.slow
 def test_an_export_is_judged_as_the_dataset_it_was_made_of(master, exported, tmp_path):
     fewer = tmp_path / "results.json"
     fewer.write_bytes(results_bytes(perfect(master, SCENES[:3])))
@@ -152,6 +155,7 @@ def test_an_export_is_judged_as_the_dataset_it_was_made_of(master, exported, tmp
     assert own.judgements[0].rows[0].figures == export.judgements[0].rows[0].figures
 
 
+@pytest.mark.slow
 def test_a_run_over_all_sets_of_an_export_is_judged_whole(master, exported, tmp_path):
     export = exported("coco", split=Split(shares=(0.5, 0.0, 0.5), seed=1))
     run = written_run(tmp_path / "run", perfect(master), split=None)

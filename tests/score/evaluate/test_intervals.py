@@ -95,6 +95,7 @@ def alike(scene_id, rng):
     return labels, detected_squares(scene_id, every, np.ones(len(every)), masked=False)
 
 
+@pytest.mark.slow
 def test_equal_scores_do_not_move_the_draws_away_from_the_estimate():
     """Copies next to their originals once raised the draws by 0.033 above the estimate."""
     apart = []

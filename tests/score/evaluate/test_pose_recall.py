@@ -151,6 +151,7 @@ def whole(dataset, shift_m=(0.0, 0.0, 0.0)):
     return shifted
 
 
+@pytest.mark.slow
 def test_the_command_writes_figures_of_all_and_of_each_part(master, tmp_path, capsys):
     results, out = tmp_path / "poses.csv", tmp_path / "scores"
     results.write_text(pose_results_text(whole(master)))

@@ -52,6 +52,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says():
     assert inside >= 34  # of 40 at 95 %: fewer by chance once in 300
 
 
+@pytest.mark.slow
 def test_scenes_that_agree_in_themselves_make_the_interval_wider():
     """Four equal grips in each scene leave fewer independent grips than four different ones."""
     rng = np.random.default_rng(2)

@@ -92,6 +92,7 @@ def test_a_flying_point_that_another_view_sees_through_is_rejected():
     assert alone.rejected_px == (0,) and (alone.cloud.point_m[:, 2] > 0.03).sum() == 25
 
 
+@pytest.mark.slow
 def test_what_one_view_hides_from_another_contradicts_nothing():
     """Each view sees an area of the plane that the ball hides from the other view."""
     places = [from_above(-0.5), from_above(0.5)]

@@ -20,6 +20,7 @@ def merged(master, tmp_path_factory):  # noqa: F811
     return out
 
 
+@pytest.mark.slow
 def test_the_cloud_of_one_view_is_its_depth_in_the_world(merged, samples):  # noqa: F811
     """Oracle: the depth of the sample, back-projected with the camera matrix."""
     sample = samples[3]

@@ -15,6 +15,7 @@ def rig():
     return replace(paper, camera=FINE)
 
 
+@pytest.mark.slow
 def test_the_slope_of_parallel_lenses_is_depth_squared_over_focal_length_and_baseline():
     """Oracle: u = f (x - b / z) with x a pixel's own, so |dz/du| = z^2 / (f b) at every pixel."""
     T = np.eye(4)

@@ -40,12 +40,14 @@ def doubts(views, **changed):
     return pose_doubts(posed, [points_of(v) for v in posed])
 
 
+@pytest.mark.slow
 def test_correct_poses_give_no_warning(views):
     assert fuse(views).doubts == ()
     assert doubts(views[:2]) == ()
     assert doubts(views[:1]) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "shift_mm"), [(1, (0, 0, 1)), (2, (0, 0, -1)), (0, (5, 0, 0)), (2, (0, -5, 0))]
 )
@@ -59,6 +61,7 @@ def test_a_view_that_is_shifted_is_named_with_the_way_back(views, number, shift_
     assert "its pose is off" in doubt
 
 
+@pytest.mark.slow
 def test_a_view_that_is_turned_by_a_little_is_named_with_the_angle(views):
     turn = Rotation.from_rotvec(np.radians([0.3, 0.0, 0.0])).as_matrix()
     (doubt,) = doubts(views, v2=views[2].T_world_cam @ rigid(turn, np.zeros(3)))
@@ -66,6 +69,7 @@ def test_a_view_that_is_turned_by_a_little_is_named_with_the_angle(views):
     assert float(doubt.split("turn by ")[1].split()[0]) == pytest.approx(0.3, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -85,6 +89,7 @@ def test_a_pose_that_cannot_be_corrected_is_reported(views):
     assert "view v1 agrees with no other view" in doubt and "does not help" in doubt
 
 
+@pytest.mark.slow
 def test_a_mistake_in_all_poses_is_named_as_such(views):
     (doubt,) = doubts(views, **{v.name: inverse(v.T_world_cam) for v in views})
     assert "with all poses inverted they do" in doubt

@@ -62,6 +62,7 @@ def test_devices_without_a_common_field_of_view_have_no_working_volume():
         working_volume(rig)
 
 
+@pytest.mark.slow
 def test_a_sphere_too_large_for_the_volume_is_refused():
     rig = preset_rig("like-phoxi-s")
     with pytest.raises(ValueError, match="does not fit"):

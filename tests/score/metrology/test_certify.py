@@ -61,6 +61,7 @@ def test_temporal_noise_is_the_standard_deviation_that_the_decoder_propagates(ce
     assert far.noise_m / near.noise_m > 2  # it grows with the square of distance at least
 
 
+@pytest.mark.slow
 def test_point_spacing_is_depth_over_focal_length(mitsuba_renderer):
     """Measured depth replaces the true depth, so the spacing is equally noisy."""
     few = replace(LITTLE, captures=2)
@@ -176,6 +177,7 @@ def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(mitsuba_
     assert scaled.conditions["calibration_differs"]
 
 
+@pytest.mark.slow
 def test_the_error_of_a_shot_has_what_the_noise_between_shots_has_not(mitsuba_renderer):
     """A raster whose points lie off the pixels' centres moves the depth on a slope, in every shot
     alike. Oracle: a plane z = z0 + tan(t) y rises by tan(t) z^2 / (z0 f) for each pixel.
@@ -191,6 +193,7 @@ def test_the_error_of_a_shot_has_what_the_noise_between_shots_has_not(mitsuba_re
     assert steep.noise_m < 0.5 * steep.sigma_m  # Sigma states the error and not this noise.
 
 
+@pytest.mark.slow
 def test_a_plane_states_all_exposures_of_its_pictures(mitsuba_renderer):
     one, two = (
         _exposed(mitsuba_renderer, ExposureSpec(target=0.2, factors=factors))
@@ -199,6 +202,7 @@ def test_a_plane_states_all_exposures_of_its_pictures(mitsuba_renderer):
     assert two.exposures_s == pytest.approx([one.exposures_s[0], 4 * one.exposures_s[0]])
 
 
+@pytest.mark.slow
 def test_half_an_exposure_is_one_of_half_the_brightness(mitsuba_renderer):
     """A single factor was once applied twice."""
     half, dim = (
@@ -209,6 +213,7 @@ def test_half_an_exposure_is_one_of_half_the_brightness(mitsuba_renderer):
     assert half.noise_m == pytest.approx(dim.noise_m, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_automatic_exposures_are_stated_as_chosen(mitsuba_renderer):
     exposure = ExposureSpec(auto=True, factors=(1.0, 7.0))
     scanner = small_scanner(exposure=exposure)

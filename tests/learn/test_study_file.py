@@ -1,4 +1,4 @@
-"""The file of a study, which is read without any library of detectors."""
+"""Test the file of a study, which is read without any library of detectors."""
 
 import pytest
 import yaml
@@ -22,7 +22,7 @@ def written(folder, **changed):
 
 
 def test_a_folder_has_one_spelling_wherever_the_study_s_file_lies(tmp_path):
-    """Else a run that another file began would be taken for another one."""
+    """Otherwise a run started from another study file would look like a different run."""
     (tmp_path / "configs").mkdir()
     training = {"five": ["../sets/a", "./b/../../sets/b"]}
     spec = read_study(written(tmp_path / "configs", training=training))

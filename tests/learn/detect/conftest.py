@@ -1,4 +1,4 @@
-"""What tests of networks share: one thread, which beside other processes is the fastest."""
+"""Tests of networks run in one thread, which is fastest next to other processes."""
 
 import sys
 

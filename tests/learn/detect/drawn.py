@@ -51,7 +51,7 @@ def write_shapes(folder: Path, count: int, *, seed: int = 0, size_px: tuple[int,
 
 
 def _picture(rng, size_px):
-    """Two to four things, none touching another."""
+    """Return two to four objects that do not touch each other."""
     height, width = size_px
     rgb = np.full((height, width, 3), 40, np.uint8)
     depth_m = np.full(size_px, FLOOR_M, np.float32)

@@ -32,7 +32,7 @@ def stand_in_for_compiled_parts():
 
 
 def with_lively_weights(model, image):
-    """Fresh weights answer nearly the same everywhere; these do not, and do not saturate."""
+    """Set weights whose scores vary over the picture without saturation, unlike fresh ones."""
     for module in model.modules():
         if isinstance(module, torch.nn.Conv2d):
             torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

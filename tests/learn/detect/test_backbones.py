@@ -30,7 +30,7 @@ NODES = {
 
 @cache
 def classifier(name):
-    """Torchvision's, with norms that are not what a new network has; opened once."""
+    """Return a network of torchvision, made once, whose norms differ from a new network's."""
     torch.manual_seed(1)
     network = PUBLISHED[name]()
     for norm in network.modules():
@@ -41,7 +41,7 @@ def classifier(name):
 
 
 def names_of(name):
-    """The weights of torchvision's own by name and size alone."""
+    """Return the names and sizes of torchvision's weights, without their values."""
     with torch.device("meta"):
         return PUBLISHED[name]().state_dict()
 
@@ -77,7 +77,7 @@ def test_published_weights_give_the_maps_of_the_published_classifier(name):
         slow("resnet18", 5),
     ],
 )
-def test_grey_in_any_number_of_channels_is_answered_as_grey_in_three(name, channels):
+def test_grey_gives_the_same_maps_in_any_number_of_channels(name, channels):
     network = classifier(name)
     body = open_backbone(name, channels=channels).eval()
     load_backbone(body, network.state_dict())
@@ -122,8 +122,8 @@ def test_darknet_has_the_53_layers_and_parameters_of_the_paper():
     assert sum(p.numel() for p in body.parameters()) == 40_584_928
 
 
-def test_norms_follow_within_tens_of_steps():
-    """Law: after n steps on one picture its statistics are there but for 0.9^n."""
+def test_norms_adapt_within_tens_of_steps():
+    """After n steps on one picture, the remaining error of the statistics is 0.9^n."""
     body = open_backbone("mobilenet-v3-small", channels=3)
     first = body.features[0][1]
     image = torch.rand(2, 3, 64, 64)

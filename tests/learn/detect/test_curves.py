@@ -1,4 +1,4 @@
-"""The curves of a training: no name of code, and no legend over a line."""
+"""Test the curves of a training: readable names, and a legend that covers no line."""
 
 import pytest
 from drawn import axes_of, figures_of, no_pixels

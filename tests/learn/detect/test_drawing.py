@@ -1,4 +1,4 @@
-"""Drawings of detections: what is cut out, and that scores can be read."""
+"""Test drawings of detections: the cropped area and the legibility of scores."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def detections_of(boxes, *, masks=None, score=0.9):
 
 
 def test_scores_of_crowded_detections_do_not_overlap_and_lie_in_the_picture():
-    """Forty centres lie closer together than their plates are wide, some at the border."""
+    """Forty centres are closer together than the width of their plates; some are at the border."""
     rng = np.random.default_rng(0)
     centers = rng.uniform((0, 0), (300, 200), (40, 2))
     plates = [one for one in plate_places(["0.93"] * 40, centers, 900, 600) if one is not None]
@@ -93,7 +93,7 @@ def test_detections_below_a_half_are_not_drawn():
     assert np.unique(drawing).tolist() == [128]
 
 
-def test_of_several_kinds_a_plate_has_the_name():
+def test_plates_show_the_names_of_parts_if_there_are_several():
     grey = np.full((60, 80, 3), 128, np.uint8)
     one = detections_of([[10, 20, 20, 20]])
     dark = [

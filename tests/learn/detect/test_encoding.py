@@ -1,4 +1,4 @@
-"""What a network sees of a picture: metric, never stretched, and holes are no depth."""
+"""Test the input of networks: metric scale, kept proportions and separate holes."""
 
 import math
 from dataclasses import asdict
@@ -23,7 +23,7 @@ def scan(depth_m):
 
 
 def test_depth_is_metric_whatever_else_is_in_the_picture():
-    """Oracle: the encoding of a distance is linear between the ends, in every picture alike."""
+    """Oracle: the encoding is linear in distance between its limits, equally in every picture."""
     for rest_m in (0.55, 0.7, 0.95, np.nan):
         depth_m = np.full(SIZE, rest_m)
         depth_m[10, 20], depth_m[11, 20], depth_m[12, 20] = 0.5, 0.625, 1.0
@@ -41,7 +41,7 @@ def test_a_smaller_picture_has_the_mean_of_what_is_known_and_its_share():
 
 
 @pytest.mark.parametrize(("holes", "value"), [("zero", -1.0), ("far", 1.0), ("channel", 0.0)])
-def test_a_hole_is_what_was_chosen(holes, value):
+def test_a_hole_gets_the_chosen_value(holes, value):
     depth_m = np.full(SIZE, 0.8)
     depth_m[5:9, 7:9] = np.nan
     channels = deep(holes=holes).encode(scan(depth_m), seed=0)
@@ -52,8 +52,8 @@ def test_a_hole_is_what_was_chosen(holes, value):
         assert channels[1, 6, 7] == 0 and channels[1, 20, 20] == 1
 
 
-def test_relief_is_height_over_the_neighbourhood():
-    """A plane has none; what stands up is positive; holes neither have nor make any."""
+def test_relief_is_the_height_above_the_neighbourhood():
+    """A plane has no relief, raised areas have positive relief, and holes have no effect."""
     depth_m = np.full(SIZE, 0.8)
     depth_m[40:, :] = np.nan
     flat = deep(relief=True).encode(scan(depth_m), seed=0)[2]
@@ -138,8 +138,8 @@ def test_a_picture_that_is_not_there_is_named():
         deep().encode(Example(scene_id=0), seed=0)
 
 
-def test_where_there_is_no_perfect_depth_the_scanner_s_is_looked_at():
-    """And no noise is added to it; where there is one, the scanner's is not looked at."""
+def test_the_scanner_s_depth_is_used_if_there_is_no_perfect_depth():
+    """The scanner's depth gets no added noise, and it is not read if perfect depth exists."""
     depth_m = np.full(SIZE, 0.8, np.float32)
     both = Example(scene_id=0, depth_m=depth_m - 0.1, scanner_depth_m=depth_m)
     real = scan(depth_m)

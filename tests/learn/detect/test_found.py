@@ -1,4 +1,4 @@
-"""What a network finds in its input, told in the picture's pixels."""
+"""Test detections that are converted from the network's input to the picture's pixels."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What every network must do, run on each whose library is installed."""
+"""Test the contract of networks on every network whose library is installed."""
 
 from dataclasses import replace
 from importlib.util import find_spec
@@ -29,7 +29,7 @@ FIRST = pytest.mark.parametrize("model", [m if m == "yolov3" else slow(m) for m 
 
 
 def opened(model, *, channels=3, seed=0, size_px=SIZE_PX):
-    """A new network in training mode."""
+    """Return a new network in training mode."""
     if model in LIBRARIES and find_spec(LIBRARIES[model]) is None:
         pytest.skip(f"needs {LIBRARIES[model]}: run pip install --no-deps {LIBRARIES[model]}")
     torch.manual_seed(seed)
@@ -72,7 +72,7 @@ def total(network, images, targets, *, seed=0):
 
 
 @FIRST
-def test_what_is_found_has_the_form_that_is_promised(model, ready):
+def test_detections_have_the_promised_form(model, ready):
     network = ready(model)
     assert isinstance(network, Network)
     images, _ = pictures()
@@ -91,8 +91,8 @@ def test_what_is_found_has_the_form_that_is_promised(model, ready):
 
 @pytest.mark.slow
 @EVERY
-def test_fewer_or_better_are_the_first_of_all(model, ready):
-    """Law: `most` and `least_score` cut the list and change nothing that stays on it."""
+def test_limits_keep_the_first_of_all_detections(model, ready):
+    """`most` and `least_score` shorten the list and leave the other entries unchanged."""
     network = ready(model)
     images, _ = pictures()
     for index, all_of_it in enumerate(network.find(images, most=40, least_score=0.0)):
@@ -107,7 +107,7 @@ def test_fewer_or_better_are_the_first_of_all(model, ready):
 
 
 @FIRST
-def test_nothing_found_has_the_form_too(model, ready):
+def test_empty_detections_have_the_promised_form(model, ready):
     network = ready(model)
     for output in network.find(pictures()[0], most=5, least_score=1.0):
         assert output.box.shape == (0, 4)
@@ -162,9 +162,9 @@ def test_saved_weights_find_the_same(model, ready, tmp_path):
 
 
 @FIRST
-def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
-    """Laws: its class does not matter; nothing is asked of the network where it is, so that the
-    loss is smaller than were it not labelled at all, and the terms of positives are the same."""
+def test_an_ignored_instance_is_neither_a_positive_nor_a_negative(model):
+    """Its class does not matter, and the network is not penalised in its area. Therefore the
+    loss is at most that without its label, and the terms of positives are the same."""
     network = opened(model).eval()
     if model == "solov2":  # fresh, it is so sure of nothing that single precision hides the law
         torch.nn.init.zeros_(network.judges[-1].bias)
@@ -213,7 +213,7 @@ def test_a_library_that_is_not_installed_is_named_with_what_installs_it(model):
 
 
 def test_the_judge_knows_what_is_right_and_what_is_not():
-    """All found is 1; masks that are one class's discs under the other's name are 0."""
+    """The score is 1 if all is found, and 0 for masks with exchanged classes."""
     _, targets = pictures()
     right = [
         NetworkOutput(box=t.box, label=t.label, score=torch.ones(3), mask=t.mask.byte() * 255)

@@ -1,4 +1,4 @@
-"""YOLOv3 and SOLOv2 beside mmdetection 3.3: the same weights, picture and labels."""
+"""Compare YOLOv3 and SOLOv2 with mmdetection 3.3 on equal weights, pictures and labels."""
 
 import shutil
 import subprocess
@@ -50,7 +50,7 @@ TERMS = {
 
 @pytest.fixture(scope="session")
 def mmdet_python():
-    """An interpreter that has mmdetection, and torch from here; built once, in `out/`."""
+    """Return an interpreter with mmdetection and this environment's torch, built in `out/`."""
     python = ENVIRONMENT / "bin" / "python"
     ready = ENVIRONMENT / "ready"
     if ready.is_file():
@@ -91,7 +91,7 @@ def ellipses(count, seed):
 
 @pytest.fixture(scope="session")
 def answers(mmdet_python, tmp_path_factory):
-    """Case and mmdetection's answer to it, by model and backbone."""
+    """Return each case and mmdetection's output for it, by model and backbone."""
     known = {}
 
     def ask(model, backbone):
@@ -126,7 +126,7 @@ def with_their_weights(model, backbone, state):
 
 
 def close(ours, theirs):
-    """Within 1e-4 of the largest value: sums in another order differ by single precision."""
+    """Allow 1e-4 of the largest value, because sums in another order round differently."""
     torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4 * float(theirs.abs().max()))
 
 

@@ -1,4 +1,4 @@
-"""Labels move with the picture, and every draw can be had again."""
+"""Test that labels move with the picture, and that every draw is reproducible."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def one(example, tmp_path, *, encoding=DEPTH, masks=True, min_visibility=0.1, **
 
 
 def block(*, rows, columns, visib_fract=1.0):
-    """A block that stands up from a floor, and its labels."""
+    """Return a picture of a block on a floor, with its labels."""
     depth_m = np.full(SIZE, 1.0, np.float32)
     mask = np.zeros((1, *SIZE), bool)
     mask[0, rows[0] : rows[1], columns[0] : columns[1]] = True
@@ -117,7 +117,7 @@ def test_what_is_hidden_or_cut_off_is_ignored(tmp_path):
 
 
 def test_depth_is_shifted_by_up_to_what_is_stated_and_no_hole_becomes_depth(tmp_path):
-    """By 0.2 of the working volume, which is 2 high in the input; one of 100 draws is nearly so."""
+    """The limit is 0.2 of the working volume (2 in the input); one of 100 draws is near it."""
     example = block(rows=(30, 50), columns=(40, 75))
     depth_m = example.scanner_depth_m.copy()
     depth_m[:10] = np.nan
@@ -137,7 +137,7 @@ def test_depth_is_shifted_by_up_to_what_is_stated_and_no_hole_becomes_depth(tmp_
 
 
 def test_the_learnt_range_is_a_twentieth_larger_than_that_of_depth_without_spikes(tmp_path):
-    """By hand: 0.612 to 0.955 m, and 17 mm more at both ends, in whole centimetres."""
+    """Depth from 0.612 to 0.955 m gets 17 mm more at both ends, in whole centimetres."""
     depth_m = np.linspace(0.612, 0.955, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
     depth_m[40, :5], depth_m[50, :5], depth_m[60] = 0.1, 5.0, np.nan
     example = Example(scene_id=0, scanner_depth_m=depth_m)

@@ -1,4 +1,4 @@
-"""Studies: every combination once, figures as the judge gives them, tables that say so."""
+"""Test studies: each combination runs once, and the tables have the judge's figures."""
 
 import csv
 import io
@@ -128,7 +128,7 @@ def test_the_mean_of_sets_is_more_certain_than_each():
 
 
 def test_what_another_detector_found_or_in_other_data_is_found_again(tmp_path, monkeypatch):
-    """A dataset that was made again in its folder was scored by what was found in the old one."""
+    """A dataset replaced in its folder was once scored with detections in the old one."""
     world = study_file.TestSection(datasets=(tmp_path,))
     folder, calls = tmp_path / "found", []
     detector = object.__new__(Detector)
@@ -174,7 +174,7 @@ def boxes_alone(folder, name):
 
 
 def true_detections(detector, dataset, world, folder):
-    """What a perfect detector of masks finds: the truth, where nobody drew masks as rectangles."""
+    """Return the detections of a perfect mask detector: true masks, or rectangles without them."""
     detections = []
     for example in open_examples(dataset):
         size = example.rgb.shape[:2]

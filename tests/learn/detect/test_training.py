@@ -1,4 +1,4 @@
-"""Training: it learns, it goes on as if nothing had been, and it says what is wrong."""
+"""Test that training learns, resumes with equal results, and reports mistakes."""
 
 import errno
 import json
@@ -88,7 +88,7 @@ def test_a_run_holds_what_its_readers_need(dataset, tmp_path):
 
 @pytest.mark.slow
 def test_a_finished_run_is_not_trained_again(dataset, tmp_path):
-    """What a kill after the last checkpoint left unwritten is written from the checkpoint."""
+    """Files that a kill after the last checkpoint left out are written from the checkpoint."""
     run = tmp_path / "run"
     train([dataset], run, SMALL)
     before, history = (run / "checkpoint.pt").stat().st_mtime_ns, (run / "history.csv").read_text()
@@ -110,7 +110,7 @@ def test_the_learning_rate_rises_straight_and_falls_as_a_cosine():
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["yolov3", pytest.param("mask-rcnn", marks=pytest.mark.slow)])
 def test_detections_of_a_run_come_back_from_files(dataset, run, tmp_path, model):
-    """What lies in the files is what the detector found, in the pixels of the pictures."""
+    """The files hold the detections of the detector, in pixels of the pictures."""
     if model == SMALL.model:
         detector = load_detector(run)
     else:
@@ -127,7 +127,7 @@ def test_detections_of_a_run_come_back_from_files(dataset, run, tmp_path, model)
 
 @pytest.mark.slow
 def test_the_processor_s_arithmetic_is_left_as_it_was(dataset, run, tmp_path):
-    """A k-d tree of SciPy recurses without end where small differences are zero."""
+    """SciPy's k-d tree recurses without end if denormal differences are flushed to zero."""
     torch.set_flush_denormal(False)
     example = open_examples(dataset)[0]
     load_detector(run).detect(example, obj_ids={"disc": 1, "box": 2})
@@ -139,7 +139,7 @@ def test_the_processor_s_arithmetic_is_left_as_it_was(dataset, run, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("model", "epochs"), [("mask-rcnn", 14), ("yolov3", 40)])
 def test_it_learns_what_is_drawn(tmp_path, model, epochs):
-    """On pictures that it has not seen. A detector whose boxes are off by a scale has almost 0."""
+    """AP is high on unseen pictures; a detector with a wrong scale of boxes has almost 0."""
     dataset = write_shapes(tmp_path, 40, seed=3)
     spec = replace(
         SMALL, model=model, epochs=epochs, batch=4, split=Split(shares=(0.6, 0.15, 0.25))
@@ -167,7 +167,7 @@ def command(dataset, out, *, epochs=8):
 
 @pytest.mark.slow
 def test_a_killed_training_ends_with_the_same_weights(dataset, tmp_path, monkeypatch):
-    """kill -9 at three moments of the run, each at another place, then the same command again."""
+    """Kill the run (kill -9) at three different points, each time before the same command."""
     subprocess.run(command(dataset, tmp_path / "whole"), check=True, capture_output=True)
     run, killed = tmp_path / "killed", 0
     for share in (0.1, 0.5, 0.9):
@@ -204,7 +204,7 @@ def refusal(capsys, *arguments) -> str:
     return lines[0]
 
 
-def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
+def test_impossible_trainings_are_refused_in_one_line(dataset, tmp_path, capsys):
     """Each mistake names the thing and the remedy."""
     options = f"{SMALL_NETWORK} --epochs 1 --batch 2".split()
     out = tmp_path / "run"
@@ -230,7 +230,7 @@ def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_run_of_other_settings_is_not_gone_on_with(dataset, tmp_path, capsys):
+def test_a_run_is_not_resumed_with_other_settings(dataset, tmp_path, capsys):
     train([dataset], tmp_path / "run", SMALL)
     with pytest.raises(
         GraycastError, match=r"differs in trained\.settings\.seed \(0 there, 1 here\)"
@@ -278,8 +278,8 @@ def test_every_setting_is_in_the_claim_of_a_run_or_changes_no_weight(tmp_path):
     assert alike == {"device", "workers"}
 
 
-def test_a_training_does_not_go_on_with_data_that_have_changed(dataset, tmp_path):
-    """A dataset that was made again in the same folder was taken for the one of the first half."""
+def test_a_training_is_not_resumed_with_changed_data(dataset, tmp_path):
+    """A dataset replaced between the halves of a training was once taken for the first one."""
     own = shutil.copytree(dataset, tmp_path / "own")
     stop, detector = SimpleNamespace(ended=True), object.__new__(Detector)
     with pytest.MonkeyPatch.context() as patch:
@@ -298,7 +298,7 @@ def test_a_training_does_not_go_on_with_data_that_have_changed(dataset, tmp_path
 
 @pytest.mark.slow
 def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_path):
-    """A misspelt backbone, then the right one in the same folder."""
+    """Train with a misspelt backbone, then with the right one in the same folder."""
     for changed in ({"backbone": "vgg"}, {"weights": tmp_path / "nowhere.pth"}):
         with pytest.raises(GraycastError):
             train([dataset], tmp_path / "run", replace(SMALL, **changed))
@@ -308,8 +308,8 @@ def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_pat
     train([dataset], tmp_path / "run", SMALL)
 
 
-def test_what_a_training_was_killed_writing_goes_with_the_next(tmp_path):
-    """Its first file too, before which nothing shows that the folder is a training's."""
+def test_files_half_written_by_a_killed_training_are_removed_by_the_next(tmp_path):
+    """The first file is included, although no other file marks the folder as a training's."""
     for left in (".tmp-run.json-dead", ".tmp-checkpoint.pt-dead"):
         run = RunFolder(tmp_path)
         (tmp_path / left).write_bytes(b"half")
@@ -319,7 +319,7 @@ def test_what_a_training_was_killed_writing_goes_with_the_next(tmp_path):
 
 @pytest.mark.slow
 def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
-    """Also before the first checkpoint, and only as long as the other one goes on."""
+    """The refusal holds before the first checkpoint, and only while the other training runs."""
     other = RunFolder(tmp_path / "run")
     with other.claimed({}):
         with pytest.raises(
@@ -332,7 +332,7 @@ def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
 
 
 def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run, monkeypatch):
-    """Mixed precision where there is one, and no denormals: like is compared with like."""
+    """Both timings use mixed precision if available, and no denormals, so they compare."""
     monkeypatch.setattr(
         "graycast.learn.detect.detector.autocast",
         lambda device: torch.autocast("cpu", torch.bfloat16),
@@ -374,7 +374,7 @@ def test_a_processor_trains_in_bfloat16_where_it_has_it(
     assert {w.dtype for w in detector.network.parameters()} == {torch.float32}
 
 
-def test_the_mode_of_the_processor_may_be_asked_for_twice():
+def test_denormals_return_when_the_outer_block_without_them_ends():
     torch.set_flush_denormal(False)
     tiny = np.full(1, np.finfo(float).tiny)
     with without_denormals():
@@ -402,7 +402,7 @@ def test_weights_of_another_model_are_refused(dataset, tmp_path):
 
 
 class OwnNetwork(Network):
-    """A network of a user: one box, whose corners and score are all that it learns."""
+    """A user's network with one box; it learns only the box's corners and score."""
 
     finds_masks = False
     recipe = Recipe(learning_rate=1e-2, batch=4, weight_decay=0.0)
@@ -475,7 +475,7 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
         load_detector(tmp_path / "nowhere")
 
 
-def test_weights_that_a_release_does_not_know_are_said_to_be_such(run, tmp_path):
+def test_weights_that_do_not_fit_the_network_are_refused(run, tmp_path):
     checkpoint = torch.load(run / "detector.pt", weights_only=True)
     checkpoint["state"] = {f"renamed.{name}": value for name, value in checkpoint["state"].items()}
     torch.save(checkpoint, tmp_path / "detector.pt")
@@ -500,7 +500,7 @@ def run(dataset, tmp_path_factory) -> Path:
     return folder
 
 
-def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, capsys):
+def test_impossible_inputs_of_detection_are_refused_in_one_line(dataset, run, tmp_path, capsys):
     def message(*arguments, data=dataset, out=tmp_path / "found"):
         return refusal(capsys, "detector", "find", run, data, "--out", out, *arguments)
 
@@ -577,7 +577,7 @@ def test_a_picture_that_is_cut_off_is_named(run, tmp_path, capsys):
         assert "000003" in message and "depth_sl" in message
 
 
-def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_before_the_training(dataset, tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 1000})
     monkeypatch.setattr(
         "graycast.learn.detect.training_pictures.shutil.disk_usage", lambda _: usage
@@ -598,6 +598,6 @@ def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch)
         ({"range_m": (2.0, 1.0)}, "the depth's range is 2.0 to 1.0 m"),
     ],
 )
-def test_a_setting_that_cannot_be_is_refused(dataset, tmp_path, changed, message):
+def test_an_impossible_setting_is_refused(dataset, tmp_path, changed, message):
     with pytest.raises(GraycastError, match=message):
         train([dataset], tmp_path / "run", replace(SMALL, **changed))

@@ -1,4 +1,4 @@
-"""YOLOv7 behind our protocol gives the results of its library called alone."""
+"""YOLOv7 behind our protocol gives the same results as its library called directly."""
 
 import pytest
 

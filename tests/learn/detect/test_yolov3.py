@@ -1,4 +1,4 @@
-"""YOLOv3's anchors, and which boxes stay; the rest is beside mmdetection in `test_parity.py`."""
+"""Test YOLOv3's anchors and box suppression; `test_parity.py` tests the rest."""
 
 import pytest
 
@@ -19,8 +19,8 @@ def test_anchors_grow_with_the_picture(size_px, scale):
     torch.testing.assert_close(network.anchor_px.reshape(-1, 2), expected)
 
 
-def test_of_boxes_on_one_thing_the_surest_stays_and_is_cut_at_the_picture():
-    """By hand: the second overlaps the first by 121 / 225, the third by 100 / 225; 0.45 is too
+def test_overlapping_boxes_leave_the_surest_cut_at_the_picture():
+    """The second box overlaps the first by 121 / 225, the third by 100 / 225; 0.45 is too
     much. The fourth reaches beyond a picture of 100 x 50 pixels."""
     box = [[-5, -5, 10, 10], [-1, -1, 10, 10], [0, 0, 10, 10], [40, 20, 120, 70]]
     score = [[0.9, 0.0], [0.8, 0.3], [0.7, 0.0], [0.6, 0.1]]

@@ -59,7 +59,7 @@ def test_a_place_in_front_of_the_picture_or_behind_something_is_no_fault_of_the_
     assert set(why.tolist()) == {HIDDEN, OUTSIDE}
 
 
-def test_a_hole_has_the_scanners_reason_and_a_wrong_depth_is_no_hole():
+def test_a_hole_has_the_scanners_reason_and_a_wrong_depth_is_marked_wrong():
     T = from_above(0.0)
     true_m = cube_depth(T)
     depth_m = true_m.copy()

@@ -1,4 +1,4 @@
-"""Which back ends a contract test meets: Cycles in the slow suite, as its renders take time."""
+"""Back ends for contract tests; Cycles is only in the slow suite, because it is slow."""
 
 import pytest
 
@@ -8,7 +8,7 @@ REFERENCE, MITSUBA = "reference", "mitsuba"
 
 
 def slow(*values):
-    """A case that the slow suite alone meets."""
+    """Return a test case that runs only in the slow suite."""
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
@@ -16,5 +16,5 @@ CYCLES = slow("cycles")
 
 
 def direct_light(renderer):
-    """Each sample of the exact renderer costs the same as a picture: it takes a 4 x 4 grid."""
+    """Return the quality for direct light; 16 samples (a 4 x 4 grid) for the exact renderer."""
     return Quality(samples=16 if renderer.name == REFERENCE else 64, depth=1)

@@ -1,10 +1,10 @@
-"""What tests of our BSDFs ask them: samples, values and densities of many directions at once."""
+"""Samples, values and densities of BSDFs for many directions at once."""
 
 import numpy as np
 
 
 def arriving(wi, n=1):
-    """`n` hits seen from one direction, or one hit for each column of `wi`."""
+    """Return `n` hits seen from one direction, or one hit for each column of `wi`."""
     import drjit as dr
     import mitsuba as mi
 
@@ -14,21 +14,21 @@ def arriving(wi, n=1):
 
 
 def leaning(angle_deg, turn_deg=0.0):
-    """A direction so far from the normal, turned so far from x."""
+    """Return a direction from its angle to the normal and its azimuth from x."""
     angle, turn = np.radians(angle_deg), np.radians(turn_deg)
     sine = np.sin(angle)
     return np.array([sine * np.cos(turn), sine * np.sin(turn), np.cos(angle)])
 
 
 def upper(n, seed):
-    """Uniform directions of the hemisphere, density 1 / (2 pi); columns."""
+    """Return uniform directions of the upper hemisphere as columns; density 1 / (2 pi)."""
     rng = np.random.default_rng(seed)
     z, turn = rng.random(n), 2 * np.pi * rng.random(n)
     return np.stack(direction(z, turn))
 
 
 def samples_of(bsdf, wi, n, seed=0):
-    """Directions (3, n), densities and weights (3, n) of samples."""
+    """Return the directions (3, n), densities and weights (3, n) of samples."""
     import mitsuba as mi
 
     rng = np.random.default_rng(seed)
@@ -40,7 +40,7 @@ def samples_of(bsdf, wi, n, seed=0):
 
 
 def evaluated(bsdf, wi, wo):
-    """Values (3, n) without the cosine, and densities."""
+    """Return the values (3, n) without the cosine, and the densities."""
     import mitsuba as mi
 
     towards = mi.Vector3f(wo.astype(np.float32))

@@ -1,4 +1,4 @@
-"""What tests share: the render device of the process, and the data beside the repository."""
+"""Fixtures of all tests: the render device of the process and the shared data."""
 
 import gc
 import os
@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-# A run in the background is born deaf to Ctrl-C, and so would be what tests start and interrupt.
+# Background runs ignore Ctrl-C, and the processes that tests interrupt would inherit this.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# What the imports make stays, and there is much of it: to look through all of it for garbage again
-# and again while tests are collected took a quarter of that time.
+# Imports create many permanent objects. Searching them for garbage again
+# and again took a quarter of the time of test collection.
 gc.set_threshold(100_000, 20, 100)
 
-# Workers side by side (-n) that each took all cores would wait for each other: a third of the
-# processor time. NumPy's threads are told before it is loaded, the others below. PyTorch's, also of
-# what tests start, wait by spinning: beside others two of them took eight times one's time. The
-# denoiser's would sit on the same cores in each worker.
+# Parallel workers (-n) that each use all cores wait for each other: a third of the
+# processor time. NumPy's threads are set before it loads, the others below. Threads of PyTorch
+# (in child processes too) spin while waiting: two took eight times as long as one. The
+# denoiser's threads would use the same cores in each worker.
 BESIDE_OTHERS = "PYTEST_XDIST_WORKER" in os.environ
 if BESIDE_OTHERS:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -57,7 +57,7 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     file = config.getoption("--skips-allowed")
-    if file is not None and not BESIDE_OTHERS:  # workers hand their reports to one process
+    if file is not None and not BESIDE_OTHERS:  # Workers send their reports to one process.
         from skips import Skips
 
         config.pluginmanager.register(Skips(file, config.getoption("--lacks").split()))
@@ -69,7 +69,7 @@ def pytest_collection_finish():
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread_beside_others():
-    """Numba's; a test that is about threads sets them itself."""
+    """Let Numba use one thread; tests of threads set the number themselves."""
     if BESIDE_OTHERS:
         import numba
 
@@ -78,7 +78,7 @@ def one_thread_beside_others():
 
 @pytest.fixture(scope="session", autouse=True)
 def one_compiler_beside_others(tmp_path_factory):
-    """In a fresh clone Numba's compiler takes a third of the processor time: nothing twice."""
+    """Compile each kernel once, as Numba takes a third of the CPU time in a fresh clone."""
     if not BESIDE_OTHERS:
         yield
         return
@@ -92,7 +92,7 @@ def one_compiler_beside_others(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def mitsuba_renderer(request):
-    """On the device of the run, the processor by default: a process cannot change it."""
+    """Return Mitsuba on the device of the run (default: CPU), which a process cannot change."""
     from graycast.rendering import open_renderer
 
     return open_renderer("mitsuba", device=request.config.getoption("--device"))
@@ -100,12 +100,12 @@ def mitsuba_renderer(request):
 
 @pytest.fixture(scope="session")
 def cpu_device(mitsuba_renderer):
-    """For what calls Mitsuba by itself."""
+    """Prepare Mitsuba for tests that call it directly."""
 
 
 @pytest.fixture(scope="session")
 def cycles_renderer():
-    """Blender's, in a child process that ends with the tests."""
+    """Return Blender's Cycles, in a child process that ends with the tests."""
     from graycast.rendering import open_renderer
     from graycast.rendering.cycles import examine_cycles
 
@@ -118,14 +118,14 @@ def cycles_renderer():
 
 @pytest.fixture(scope="session")
 def robots():
-    """The libraries of robots, for tests that plan, move or collide; others run without them."""
+    """Require the robot libraries, for tests that plan, move or check collisions."""
     for name in ("pinocchio", "coal", "ompl", "toppra"):
         pytest.importorskip(name, reason=f"needs {name}: pip install 'graycast[pick]'")
 
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of test data beside the repository; tests that need it skip where it is not."""
+    """Return the folder of test data next to the repository; skip the test if it is missing."""
     folder = Path(__file__).resolve().parents[2] / "shared" / "data"
     if not folder.is_dir():
         pytest.skip("needs ../shared/data beside the repository, which is not here")
@@ -143,7 +143,7 @@ BROWSER_FLAGS = [
 
 @pytest.fixture(scope="session")
 def browser():
-    """Chromium of the system; nothing is downloaded."""
+    """Return the installed Chromium; nothing is downloaded."""
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="needs playwright: pip install 'graycast[test]'"
     )

@@ -21,7 +21,7 @@ COAT = Material(base_color=(0.6, 0.3, 0.2), roughness=0.4)
 
 
 def corner_scene(*, metal=METAL, coat=COAT):
-    """Two walls that light each other, a metal box, a coated ball: every kind of material."""
+    """Return two walls that light each other, a metal box and a coated ball."""
     rig = make_rig(
         centred(48, 36, 52),
         centred(48, 36, 62),

@@ -1,4 +1,4 @@
-"""Figures looked at before they become pixels: what was drawn, by the titles of their axes."""
+"""Inspect figures before they are rendered, by the titles of their axes."""
 
 from contextlib import contextmanager
 
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 @contextmanager
 def figures_of(module):
-    """The figures that a module writes meanwhile, in order; their files are written, too."""
+    """Collect the figures that a module writes in this block; their files are also written."""
     figures, write = [], module.save_png
 
     def save(figure, path, *, dpi):
@@ -26,7 +26,7 @@ def figures_of(module):
 
 @contextmanager
 def no_pixels():
-    """Figures are made, and one black pixel is written: for tests of the files beside pictures."""
+    """Write one black pixel for each figure, for tests that do not read the pictures."""
 
     def write(figure, file, **how):
         Image.new("L", (1, 1)).save(file, format="PNG")
@@ -37,31 +37,31 @@ def no_pixels():
 
 
 def axes_of(figure):
-    """The axes of a figure that have a title, by it."""
+    """Return the axes of a figure by their titles; axes without a title are left out."""
     titled = {ax.get_title(loc="left") or ax.get_title(): ax for ax in figure.axes}
     titled.pop("", None)
     return titled
 
 
 def lines_of(ax):
-    """(x, y) of each line with markers, as numbers."""
+    """Return (x, y) of each line with markers, as numbers."""
     lines = (line for line in ax.lines if line.get_marker() not in ("None", "", None))
     return [tuple(np.array(values, float) for values in line.get_data()) for line in lines]
 
 
 def points_of(ax):
-    """The points of all lines with markers, sorted; those without a number left out."""
+    """Return the sorted points of all lines with markers, without those that have NaN."""
     points = np.concatenate([np.column_stack(line) for line in lines_of(ax)])
     return np.array(sorted(points[np.isfinite(points).all(axis=1)].tolist()))
 
 
 def heights_of(ax):
-    """Of bars that stand."""
+    """Return the heights of vertical bars."""
     return [bar.get_height() for bar in ax.patches]
 
 
 def shares_of(picture, name, *, within=1e-3):
-    """What share of a colour map's range each pixel of its RGB picture stands for; NaN for none."""
+    """Return the position of each RGB pixel in the colour map, 0 to 1; NaN if not in it."""
     table = colormaps[name](np.arange(256))[:, :3]
     distance, index = cKDTree(table).query(np.asarray(picture, float)[..., :3])
     return np.where(distance < within, index / 255, np.nan)

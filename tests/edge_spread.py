@@ -1,4 +1,4 @@
-"""How far a renderer's lenses spread an edge."""
+"""Measure how far a renderer's lenses blur an edge."""
 
 import math
 from dataclasses import replace
@@ -22,7 +22,7 @@ def light_of(renderer, scene, pattern, *, samples=256, depth=1, seed=0):
 
 
 def half_wall(z_m, material):
-    """The half x > 0 of a wall across the axis."""
+    """Return the half x > 0 of a wall perpendicular to the axis."""
     return Quad(
         center_m=(HALF_M, 0.0, z_m),
         half_u_m=(HALF_M, 0.0, 0.0),
@@ -38,7 +38,7 @@ def spread(edge):
     line = np.diff(edge, axis=1)
     assert np.abs(line.sum(axis=1) - 1).max() < 1e-3
     x = np.arange(line.shape[1])
-    # A common middle: that of each row would take a part of its noise with it.
+    # A common mean is used, because the mean of each row would absorb some of its noise.
     variance = (line * (x - (line.mean(axis=0) @ x)) ** 2).sum(axis=1) - 1 / 6
     error = variance.std(ddof=1) / math.sqrt(len(edge))
     deviation = math.sqrt(max(variance.mean(), 1e-12))
@@ -46,7 +46,7 @@ def spread(edge):
 
 
 def camera_spread(renderer, camera, z_m, *, samples):
-    """Of a camera that looks at the edge of a lit wall through its lens."""
+    """Return the spread of the edge of a lit wall that a camera sees through its lens."""
     rig = make_rig(camera, centred(64, 64, 30), baseline_m=NEAR_BY)
     pattern = plain_pattern(rig, 255)
     edge, whole = (
@@ -57,7 +57,7 @@ def camera_spread(renderer, camera, z_m, *, samples):
 
 
 def projector_spread(renderer, projector, z_m, *, samples, finer=2):
-    """Of a projector that shows an edge, seen by a pinhole with `finer` pixels to each of its."""
+    """Return the spread of a projected edge; a pinhole sees each pixel as `finer` pixels."""
     camera = centred(finer * (projector.width_px - 10), ROWS, finer * projector.fx_px)
     rig = make_rig(camera, projector, baseline_m=NEAR_BY)
     pattern = plain_pattern(rig, 0)

@@ -2,7 +2,7 @@
 
 
 class Metered:
-    """`counts` are (kind, done, total)."""
+    """Progress meter whose `counts` are (kind, done, total)."""
 
     def __init__(self):
         self.stages, self.counts, self.notes = [], [], []

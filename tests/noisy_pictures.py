@@ -6,14 +6,14 @@ BLOCK_PX = 6
 
 
 def blocks(image):
-    """Sums over squares of pixels: nearly normal, nearly independent."""
+    """Return sums over squares of pixels, which are nearly normal and independent."""
     h, w = image.shape[-2:]
     split = image.reshape(*image.shape[:-2], h // BLOCK_PX, BLOCK_PX, w // BLOCK_PX, BLOCK_PX)
     return split.sum(axis=(-3, -1)).reshape(*image.shape[:-2], -1)
 
 
 def scores(one, other):
-    """Welch's t of every block, and of the whole picture; the first axis is the seed."""
+    """Return Welch's t of each block and of the whole picture; the first axis is the seed."""
 
     def t(a, b):
         variance = a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b)

@@ -1,4 +1,4 @@
-"""Workers side by side compile a kernel once: one of them, and the others load it."""
+"""Let one of several parallel workers compile a kernel, and the others load it."""
 
 import fcntl
 from collections.abc import Iterator
@@ -11,11 +11,11 @@ from numba.core.dispatcher import Dispatcher
 
 @contextmanager
 def one_compiler_a_kernel(folder: Path) -> Iterator[None]:
-    """While it lasts, what a process of several compiles for numba's cache it locks by its name.
+    """Lock each kernel by its name while one of several processes compiles it for the cache.
 
-    Without it two processes compile the same, and of two that store versions of a kernel at once
-    one is forgotten. Numba looks a kernel up after the lock is taken, so who had to wait finds it.
-    While one is compiled so are those that it calls: a kernel calls none that waits for it.
+    Without it, two processes compile the same kernel, and if both store a version at once,
+    one is lost. Numba looks up a kernel after it takes the lock, so a process that waited finds it.
+    Compiling a kernel also compiles those that it calls. Calls are not circular: no deadlock.
     """
     compile_one, locked = Dispatcher.compile, set()
 

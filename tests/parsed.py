@@ -1,4 +1,4 @@
-"""The source as trees of syntax, for the tests that read it: each file is parsed once a process."""
+"""Syntax trees of the source for tests; each file is parsed once per process."""
 
 import ast
 from functools import cache
@@ -12,5 +12,5 @@ def tree_of(file: Path) -> ast.Module:
 
 @cache
 def nodes_of(file: Path) -> tuple[ast.AST, ...]:
-    """All nodes of its tree."""
+    """Return all nodes of the file's syntax tree."""
     return tuple(ast.walk(tree_of(file)))

@@ -1,4 +1,4 @@
-"""A small finished dataset of prisms in closed form, with what a report wants to know of it."""
+"""A small finished dataset of prisms in closed form, with the data that a report needs."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ CODE = {
 
 
 def lensed_rig():
-    """Distortion on both sides: the labels' geometry stays a pinhole's, the rig's does not."""
+    """Return a rig with distortion in both devices; the labels still use a pinhole."""
     rig = make_rig()
     return replace(
         rig,
@@ -32,7 +32,7 @@ def lensed_rig():
 
 
 def write_dataset(out: Path, scene_ids=(0, 3), rig=None, *, keeps=False):
-    """Returns the samples by scene. `keeps` frames and code maps of a scanner with that code."""
+    """Write it and return samples by scene; `keeps` also stores frames and code maps."""
     rig, parts = rig or make_rig(), (box_part(), wedge_part())
     samples = {k: build_sample(k, parts=parts, rig=rig) for k in scene_ids}
     config = CONFIG | {"scanner": {"code": CODE}}
@@ -56,7 +56,7 @@ def write_dataset(out: Path, scene_ids=(0, 3), rig=None, *, keeps=False):
 
 
 def forget(out: Path) -> None:
-    """Leave of a dataset what one of real pictures has."""
+    """Reduce a dataset to the files that a dataset of real pictures has."""
     claim = json.loads((out / "graycast.json").read_bytes())
     claim_keys = ("format_version", "depth_scale_mm", "sources", "versions")
     parts = [{key: part[key] for key in ("obj_id", "name")} for part in claim["parts"]]

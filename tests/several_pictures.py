@@ -48,7 +48,7 @@ def rigs():
 
 
 def lying(scene_id):
-    """Poses of five parts over the floor, none in another."""
+    """Return the poses of five parts on the floor that do not intersect."""
     rng = np.random.default_rng(scene_id)
     place = [(-0.08, -0.05), (0.08, -0.05), (0.0, 0.07), (-0.09, 0.06), (0.0, -0.03)]
     return np.stack(
@@ -110,7 +110,7 @@ def sample_of(scene_id, place):
 
 
 def write_several(out):
-    """Writes it and returns the samples by scene, in the order of `NAMES`."""
+    """Write the dataset and return the samples by scene, in the order of `NAMES`."""
     parts = (box_part(), wedge_part())
     takers = tuple(Taker(name=n, images=2, rig=rig, scanning={}) for n, rig in rigs().items())
     samples = {i: [sample_of(i, place) for place in range(len(NAMES))] for i in SCENES}
@@ -126,6 +126,6 @@ def write_several(out):
 
 @pytest.fixture(scope="session")
 def several(tmp_path_factory):
-    """The dataset and its samples. Tests that change it copy it."""
+    """Return the dataset and its samples. Tests that change it copy it."""
     out = tmp_path_factory.mktemp("several") / "out"
     return out, write_several(out)

@@ -15,12 +15,12 @@ from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wed
 
 @cache
 def _sample(scene_id):
-    """Once in a process; a test that changes a sample copies it."""
+    """Return a sample, made once per process; a test that changes it copies it."""
     return build_sample(scene_id, parts=(box_part(), wedge_part()), rig=make_rig())
 
 
 def write_dataset(out, scene_ids=(0, 3, 4, 5)):
-    """Writes it and returns the samples by scene."""
+    """Write the dataset and return the samples by scene."""
     parts, rig = (box_part(), wedge_part()), make_rig()
     samples = {i: _sample(i) for i in scene_ids}
     with open_store(
@@ -34,7 +34,7 @@ def write_dataset(out, scene_ids=(0, 3, 4, 5)):
 
 @pytest.fixture(scope="session")
 def master_and_samples(tmp_path_factory):
-    """One dataset for all formats. Tests that change it copy it."""
+    """Return one dataset for all formats. Tests that change it copy it."""
     out = tmp_path_factory.mktemp("master") / "out"
     return out, write_dataset(out)
 
@@ -51,7 +51,7 @@ def samples(master_and_samples):
 
 @pytest.fixture
 def exported(master, tmp_path):
-    """Exports the dataset; keywords are options."""
+    """Return a function that exports the dataset; its keywords are options."""
 
     def run(form, **options):
         options.setdefault("split", Split())
@@ -63,7 +63,7 @@ def exported(master, tmp_path):
 
 
 def visible(sample):
-    """Which instances are seen, their masks, and their boxes [x, y, columns, rows]."""
+    """Return visible instances, their masks, and their boxes [x, y, columns, rows]."""
     instances = [i for i in range(8) if (sample.truth.instance == i).any()]
     masks = [sample.truth.instance == i for i in instances]
     boxes = []

@@ -1,4 +1,4 @@
-"""Which tests a run skipped and why, and whether each reason is on the list of `skips.txt`."""
+"""Check that `skips.txt` lists the reason of each test that a run skipped."""
 
 import re
 from collections import Counter
@@ -13,7 +13,7 @@ class Skips:
 
     Args:
         file: a line for each reason, as `tests/skips.txt` describes it.
-        lacks: what this machine lacks, in the words of the file's first column.
+        lacks: features that this machine lacks, in the words of the file's first column.
     """
 
     def __init__(self, file: Path, lacks: Collection[str]):

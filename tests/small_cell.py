@@ -19,7 +19,7 @@ GRAYCAST = [sys.executable, "-m", "graycast"]
 
 
 def write_cell(folder: Path, *without: str, **changes) -> Path:
-    """A configuration with its mesh and rig; `changes` and `without` are keys at its top."""
+    """Write a configuration, mesh and rig; `changes` and `without` are top-level keys."""
     trimesh.creation.box((60, 40, 30)).export(folder / "box.stl")
     rig = preset_rig("paper")
     camera, projector = shrunk(rig.camera, 160, 120), shrunk(rig.projector, 128, 96)
@@ -40,7 +40,7 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
 
 
 def content(out: Path) -> dict:
-    """Every file of a dataset, hidden ones too; a manifest without its timings, parsed."""
+    """Return all files of a dataset, hidden ones too; manifests are parsed, without timings."""
     files = {
         str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()
     }
@@ -54,7 +54,7 @@ def content(out: Path) -> dict:
 
 
 def start(*arguments: object) -> subprocess.Popen:
-    """The command in a process group of its own, as a terminal starts it."""
+    """Start the command in a process group of its own, as a terminal does."""
     return subprocess.Popen(
         [*GRAYCAST, *map(str, arguments)],
         stdout=subprocess.PIPE,
@@ -66,5 +66,5 @@ def start(*arguments: object) -> subprocess.Popen:
 
 
 def finished(out: Path) -> int:
-    """How many scenes a folder holds."""
+    """Return the number of finished scenes in a folder."""
     return len(list(out.glob("train/[0-9]*")))

@@ -1,4 +1,4 @@
-"""What the tests of light put on the stage: small rigs, walls, boxes, in camera coordinates."""
+"""Small rigs, walls and boxes in camera coordinates, for tests of rendering."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from graycast.world.parts import Material, Mesh, Part
 from graycast.world.scene import Environment, Layout, Quad, Scene, Sphere
 
 DARK = Environment(radiance=(0.0, 0.0, 0.0))
-# A camera somewhere askew, so that no test passes because two frames happen to coincide.
+# The camera is oblique, so that no test passes only because two frames coincide.
 SOMEWHERE = rigid(
     axis_rotation("x", 2.5) @ axis_rotation("y", 0.2) @ axis_rotation("z", 0.4),
     np.array([0.3, -0.2, 0.9]),
@@ -19,12 +19,12 @@ SOMEWHERE = rigid(
 
 
 def lambert(*albedo):
-    """A perfect diffuser of one albedo or of three."""
+    """Return a Lambertian material with one albedo or one for each colour."""
     return Material(base_color=tuple(albedo) if len(albedo) == 3 else albedo * 3, specular=0.0)
 
 
 def optics(width_px, height_px, f_px, *, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)):
-    """Unequal focal lengths and an off-centre axis, so that swapped x and y show."""
+    """Return optics with fx != fy and an off-centre axis, so that exchanged axes are noticed."""
     return Optics(
         width_px=width_px,
         height_px=height_px,
@@ -37,7 +37,7 @@ def optics(width_px, height_px, f_px, *, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)):
 
 
 def centred(width_px, height_px, f_px):
-    """Square pixels and the axis in the middle."""
+    """Return optics with square pixels and a centred axis."""
     return Optics(
         width_px=width_px,
         height_px=height_px,
@@ -49,7 +49,7 @@ def centred(width_px, height_px, f_px):
 
 
 def make_rig(camera, projector, *, baseline_m=(0.1, 0.0, 0.0), rotation=None, **words):
-    """A rig whose projector stands at `baseline_m` in the camera frame; parallel by default."""
+    """Return a rig with the projector at `baseline_m` in the camera frame; default: parallel."""
     rotation = np.eye(3) if rotation is None else rotation
     return Rig(
         name="test",
@@ -67,7 +67,7 @@ def turned(x_rad, y_rad, z_rad):
 
 
 def askew_rig(*, camera=None, projector=None, **words):
-    """Toed in, rolled, and with a baseline along no axis."""
+    """Return a rig with toe-in, roll, and a baseline that is not along an axis."""
     return make_rig(
         optics(96, 72, 110) if camera is None else camera,
         optics(64, 48, 52) if projector is None else projector,
@@ -78,7 +78,7 @@ def askew_rig(*, camera=None, projector=None, **words):
 
 
 def wall(z_m, material, *, half_m=5.0):
-    """A square across the camera's axis, its front towards the camera."""
+    """Return a square perpendicular to the camera's axis that faces the camera."""
     return Quad(
         center_m=(0.0, 0.0, z_m),
         half_u_m=(half_m, 0.0, 0.0),
@@ -88,7 +88,7 @@ def wall(z_m, material, *, half_m=5.0):
 
 
 def leaning_wall(normal, offset_m, material, *, half_m=5.0):
-    """The plane `normal . p = offset_m`, its front on the side of the camera (offset positive)."""
+    """Return a square in the plane `normal . p = offset_m > 0` that faces the camera."""
     normal = np.asarray(normal) / np.linalg.norm(normal)
     u = np.cross([0.0, 1.0, 0.0], normal)
     u /= np.linalg.norm(u)
@@ -102,7 +102,7 @@ def leaning_wall(normal, offset_m, material, *, half_m=5.0):
 
 
 def in_camera(rig, *surfaces, T_world_cam=SOMEWHERE, **words):
-    """A scene whose surfaces are given in the camera frame."""
+    """Return a scene from surfaces in the camera frame."""
     words.setdefault("environment", DARK)
     return Scene(
         rig=rig,
@@ -130,7 +130,7 @@ def _moved(surface, T):
 
 
 def centre_rays(camera):
-    """Ray directions of pixel centres, unit z, for a lens without distortion."""
+    """Return ray directions with z = 1 through pixel centres, without lens distortion."""
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px].astype(float)
     x, y = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
     return np.stack([x, y, np.ones_like(x)], axis=-1)
@@ -140,7 +140,7 @@ BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for 
 
 
 def box_part(half_m, material, *, name="box"):
-    """A box about its own origin."""
+    """Return a box centred at its own origin."""
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
     mesh = Mesh(vertices_m=BOX_CORNERS * half_m, faces=faces)
@@ -155,6 +155,6 @@ def layout_in_camera(part_index, poses_cam, T_world_cam=SOMEWHERE):
 
 
 def plain_pattern(rig, *levels):
-    """Flat pictures of the projector's size, one per grey level."""
+    """Return uniform pictures of the projector's size, one for each grey level."""
     size = (rig.projector.height_px, rig.projector.width_px)
     return np.stack([np.full(size, level, dtype=np.uint8) for level in levels])

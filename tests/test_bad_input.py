@@ -1,4 +1,4 @@
-"""Bad input through the real command: one line names thing and remedy, no half work."""
+"""Bad input to the command gives one line with fault and remedy, and leaves no partial output."""
 
 import fcntl
 import os
@@ -21,7 +21,7 @@ from graycast.rendering.device import CudaState, examine_cuda
 
 
 def refusal(capsys, *arguments):
-    """The one line on stderr of a command that fails."""
+    """Return the one line on stderr of a command that fails."""
     assert main([str(argument) for argument in arguments]) == 1
     return one_line(capsys.readouterr().err)
 
@@ -35,7 +35,7 @@ def one_line(text):
 
 
 def assert_untouched(out: Path):
-    """No folder, or one that nothing claims: the lock of the run that failed may stay."""
+    """Check that the folder is missing or unclaimed; the lock of the failed run may remain."""
     assert not out.exists() or {entry.name for entry in out.iterdir()} <= {".lock"}
 
 
@@ -151,7 +151,7 @@ def test_a_wrong_setting_is_named_with_its_file_and_what_is_allowed(
     ],
     ids=lambda value: str(value)[:30] if isinstance(value, bytes) else "",
 )
-def test_what_is_no_configuration_is_refused_by_line(capsys, tmp_path, text, words):
+def test_text_that_is_no_configuration_is_refused_with_its_line(capsys, tmp_path, text, words):
     path, out = tmp_path / "bad.yaml", tmp_path / "out"
     path.write_bytes(text)
     answer = refusal(capsys, "generate", path, "--out", out)
@@ -160,7 +160,7 @@ def test_what_is_no_configuration_is_refused_by_line(capsys, tmp_path, text, wor
     assert not out.exists()
 
 
-def test_a_configuration_that_is_no_file_is_refused(capsys, tmp_path):
+def test_a_missing_configuration_file_is_refused(capsys, tmp_path):
     assert f"{tmp_path}: cannot be read (Is a directory)" in refusal(capsys, "preview", tmp_path,
                                                                      "--out", "x.png")  # fmt: skip
     assert "none.yaml: no such file: check the path" in refusal(capsys, "parts", "none.yaml")
@@ -252,7 +252,7 @@ def test_a_broken_texture_is_named_with_the_remedy(capsys, tmp_path, damage):
 
 @pytest.mark.parametrize("ending", [slow("exr"), "hdr"])
 def test_a_cut_environment_map_is_named_and_claims_no_folder(capsys, tmp_path, ending):
-    """Its dataset's folder stayed claimed once, and refused the configuration put right."""
+    """The output folder once stayed claimed, and so refused the corrected configuration."""
     sky = np.random.default_rng(0).random((16, 32, 3)).astype(np.float32)
     whole = cv2.imencode(".hdr", sky)[1].tobytes()
     content = b"v/1\x01\x02\x00\x00\x00channels" if ending == "exr" else whole[: len(whole) // 2]
@@ -322,7 +322,7 @@ def test_a_bad_calibration_is_named_by_its_key(capsys, tmp_path, old, new, words
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    """One scene, with the configuration that made it beside its folder."""
+    """Return a dataset of one scene, with its configuration next to its folder."""
     folder = tmp_path_factory.mktemp("made")
     path = write_cell(folder)
     out = folder / "out"
@@ -439,7 +439,7 @@ def test_without_llvm_the_command_to_run_is_given(capsys, tmp_path, monkeypatch,
     assert not (tmp_path / "out").exists()
 
 
-def test_what_is_no_dataset_is_not_validated(capsys, tmp_path):
+def test_a_folder_that_is_no_dataset_is_not_validated(capsys, tmp_path):
     (tmp_path / "note.txt").write_text("x")
     for path in (tmp_path, tmp_path / "none", tmp_path / "note.txt"):
         text = refusal(capsys, "validate", path)
@@ -485,7 +485,7 @@ def test_wrong_arguments_end_with_code_2_and_say_which(capsys, arguments, words)
 
 
 @pytest.mark.slow
-def test_the_command_itself_fails_as_told(tmp_path):
+def test_a_failing_command_exits_with_its_code_and_one_line(tmp_path):
     path = write_cell(tmp_path, scnes=3)
     run = subprocess.run(
         [*GRAYCAST, "generate", str(path), "--out", str(tmp_path / "out")],

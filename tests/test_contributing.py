@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md names the files that a new thing touches: they exist, are few, and are all."""
+"""CONTRIBUTING.md lists all files that each extension changes; they exist and are few."""
 
 import ast
 import re
@@ -17,7 +17,7 @@ from graycast.rig.pattern.spec import Codec
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST_FILES = 3
-# The functions of codes are exported by their names.
+# This file exports the functions of codes by name.
 KNOWING = {"src/graycast/rig/pattern/__init__.py"}
 NAMES = {
     "code": set(get_args(Codec)) - {"gray", "gray_phase"},  # "gray" also names pictures
@@ -29,7 +29,7 @@ KINDS = [*NAMES, "statistic of datasets"]
 
 
 def lines_on() -> dict[str, str]:
-    """The text on each kind of new thing."""
+    """Return the text about each kind of extension."""
     text = (ROOT / "CONTRIBUTING.md").read_text()
     section = text.split("## Where new things go")[1].split("\n## ")[0]
     entries = re.findall(r"^- \*\*An? ([\w\- ]+)\*\*(.*?)(?=^- |\Z)", section, flags=re.M | re.S)
@@ -49,7 +49,7 @@ def test_an_extension_touches_at_most_three_files_and_all_of_them_exist(kind):
 
 @cache
 def files_of_texts() -> Mapping[str, set[str]]:
-    """Of each text in the package, the files that have it."""
+    """Map each string constant of the package to the files that contain it."""
     files = defaultdict(set)
     for path in (ROOT / "src").rglob("*.py"):
         for node in nodes_of(path):

@@ -1,4 +1,4 @@
-"""What pyproject.toml asks for is what the package imports, in versions that were tested."""
+"""The dependencies in pyproject.toml match the imports, and their versions were tested."""
 
 import ast
 import re
@@ -16,7 +16,7 @@ from graycast.cli import doctor
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-# Names in the registry where they are not those that Python imports.
+# Registry names of packages, where they differ from the imported names.
 IMPORTED = {
     "PyYAML": "yaml",
     "opencv-python-headless": "cv2",
@@ -25,7 +25,7 @@ IMPORTED = {
     "pin": "pinocchio",
     "scikit-learn": "sklearn",
 }
-# Blender's Python, and what comes with a package above: Coal with Pinocchio.
+# These come with Blender's Python or, like Coal with Pinocchio, with a package above.
 ELSEWHERE = {"bpy", "mathutils", "_cycles", "coal"}
 BY_HAND = {"libreyolo"}  # pyproject.toml says why
 
@@ -35,7 +35,7 @@ def wanted(*lists):
 
 
 def imported_by(folder):
-    """First words of what is imported from elsewhere, anywhere in a folder's files."""
+    """Return the top-level names of the foreign packages that a folder's files import."""
     packages = set()
     for file in folder.rglob("*.py"):
         if "worker" in file.parts:  # scripts of Blender's Python, which import each other
@@ -49,15 +49,15 @@ def imported_by(folder):
 
 
 def test_each_dependency_is_imported_and_each_import_is_a_dependency():
-    """lxml, networkx and mapbox-earcut were dependencies, and nothing imported them."""
+    """lxml, networkx and mapbox-earcut were once dependencies that no file imported."""
     of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "pick", "twin")]
     dependencies = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
     dependencies = {name.replace("-", "_") for name in dependencies}
     assert imported_by(ROOT / "src") - ELSEWHERE - BY_HAND == dependencies
 
 
-def test_constraints_are_names_and_versions_alone():
-    """No address of a registry, no option, no line twice."""
+def test_constraints_contain_only_names_and_versions():
+    """The file has no registry addresses, no options and no repeated lines."""
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[0-9][0-9A-Za-z.+]*", line) for line in lines)
     assert len({line.split("==")[0].lower() for line in lines}) == len(lines)
@@ -77,8 +77,8 @@ def test_what_changes_pictures_or_layouts_of_a_seed_has_an_upper_bound(name):
     assert {"<", ">="} == {part.operator for part in requirement.specifier}
 
 
-def test_the_versions_of_python_are_the_same_wherever_they_stand():
-    """pip took Python 3.14, which setup refuses and for which some packages have no wheels."""
+def test_all_files_state_the_same_versions_of_python():
+    """pip once accepted Python 3.14, which setup refuses, as some packages have no wheels."""
     python_versions = SpecifierSet(PROJECT["requires-python"])
     allowed = [minor for minor in range(30) if f"3.{minor}" in python_versions]
     assert allowed == list(range(allowed[0], allowed[-1] + 1))

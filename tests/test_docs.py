@@ -1,4 +1,4 @@
-"""What the pages say of the repository is so: numbers, paths, commands, and the age of figures."""
+"""Test that numbers, paths, commands and the age of figures on the pages are right."""
 
 import argparse
 import ast
@@ -25,7 +25,7 @@ CODE = re.compile(r"`([^`]+)`")
 NUMBER = re.compile(r"(?<![\w.,/-])\d[\d,]*(?:\.\d+)?(?: ?(?:%|mm|m|s|px|°)(?!\w))?")
 COMMIT = re.compile(r"`([0-9a-f]{7,8})`")
 DATE = re.compile(r"\b\d{4}-\d\d-\d\d\b|\b\d\d?( and \d\d?)? [A-Z][a-z]+ \d{4}\b")
-# Numbers of prose that need no page of measurements, and why.
+# Numbers in prose that need no link to a measurement, with the reason.
 UNMEASURED = {
     "3.11": "a version of Python, which pyproject.toml has",
     "3.13": "a version of Python, which pyproject.toml has",
@@ -34,7 +34,7 @@ UNMEASURED = {
     "1": "one sigma",
 }
 PATH = re.compile(r"(?<![\w/.:-])[\w*-]+(?:/[\w.*-]+)*\.(?:py|js|ipynb)\b|(?<![\w/.-])[\w*./-]+")
-# Files of other projects that pages name.
+# These files belong to other projects.
 FOREIGN = {"dataset/bop_webdataset.py"}
 
 
@@ -47,14 +47,14 @@ def plain(text):
 
 
 def statements(page):
-    """Each sentence of a page's prose, and each row of its tables, on one line."""
+    """Return each sentence and each table row of a page as one line."""
     text = FENCE.sub(" ", page.read_text(encoding="utf-8"))
     for block in re.split(r"\n\s*\n|\n(?=\s*[-*|] )", text):
         yield from re.split(r"(?<=[.:;]) (?=[A-Z*\[`])", plain(block))
 
 
 def linked_text(page, target):
-    """The text to which a link leads: of one section where it has an anchor."""
+    """Return the text to which a link leads; only one section if it has an anchor."""
     path, _, anchor = target.partition("#")
     text = ((page.parent / path).resolve()).read_text(encoding="utf-8")
     if not anchor:
@@ -67,7 +67,7 @@ def linked_text(page, target):
 
 
 def missing_numbers(words, text):
-    """Numbers of a sentence that do not stand in a text with their units."""
+    """Return the numbers of a sentence that a text does not contain with equal units."""
     numbers = NUMBER.findall(CODE.sub("", LINK.sub(lambda link: link[1], words)))
     return [
         number
@@ -78,7 +78,7 @@ def missing_numbers(words, text):
 
 
 def measured(page):
-    """(sentence, text of the linked measurements) where a page cites a measurement."""
+    """Return (sentence, text of the linked measurements) for each citation on a page."""
     for words in statements(page):
         targets = [to for _, to in LINK.findall(words) if "measurements/" in to]
         if targets:
@@ -104,7 +104,7 @@ def test_each_number_of_the_readme_has_a_link_to_its_measurement():
     assert bare == []
 
 
-def test_another_number_would_be_noticed():
+def test_a_wrong_number_would_be_noticed():
     page = "Up to 10.2 % are wrong, at most 1.7 % with guards; 8.8 of 14 rows; 0.190 mm"
     assert missing_numbers("from 10.2 % to 1.7 %", page) == []
     assert missing_numbers("from 8.8 % to 1.4 %, 0.19 mm", page) == ["8.8 %", "1.4 %", "0.19 mm"]
@@ -112,7 +112,7 @@ def test_another_number_would_be_noticed():
 
 @cache
 def repository():
-    """Files and folders of the repository by their paths, without what a run writes."""
+    """Return the paths of files and folders in the repository, without output of runs."""
     tops = "src tests docs configs examples benchmarks studies scripts".split()
     candidates = [path for top in tops for path in (ROOT / top).rglob("*")]
     paths = [path for path in candidates if "__pycache__" not in path.parts]
@@ -121,7 +121,7 @@ def repository():
 
 
 def is_there(path):
-    """Whether a path, or the end of one, names something; a star stands for any letters."""
+    """Whether a path, or its end, exists in the repository; a star matches any characters."""
     paths = repository()[1]
     if "*" in path:
         return any(fnmatch(other, path) or fnmatch(other, f"*/{path}") for other in paths)
@@ -129,7 +129,7 @@ def is_there(path):
 
 
 def named_paths(text):
-    """What a text names of the repository: scripts anywhere, and what begins with its folders."""
+    """Return the paths in a text: names of scripts, and paths that begin with our folders."""
     for path in map(lambda match: match.rstrip("./"), PATH.findall(text)):
         is_script = re.search(r"\w\.(py|js|ipynb)$", path) and not path.startswith(("/", "."))
         if is_script or ("/" in path and path.split("/")[0] in repository()[0]):
@@ -151,7 +151,7 @@ def test_a_path_that_is_gone_would_be_noticed():
 
 
 def command_of(words):
-    """The parser of the command that words begin with, and the words behind it."""
+    """Return the parser of the command at the start of the words, and the remaining words."""
     parser, rest = _parser(), list(words)
     while groups := [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]:
         if not rest or rest[0] not in groups[0].choices:
@@ -161,7 +161,7 @@ def command_of(words):
 
 
 def test_each_command_within_a_sentence_is_one_of_the_program():
-    """Such a command may lack what it needs; blocks of commands are parsed as a whole."""
+    """Such a command may omit required arguments; blocks of commands are parsed fully."""
     count = 0
     for page in PAGES:
         text = FENCE.sub(" ", page.read_text(encoding="utf-8"))
@@ -210,7 +210,7 @@ def test_each_target_of_make_that_a_page_names_is_there():
 
 @pytest.mark.parametrize("page", [p for p in MEASUREMENTS if p != OLDER], ids=lambda p: p.stem)
 def test_each_table_of_measurements_says_its_commit_and_its_date(page):
-    """In its section, or before the first one."""
+    """Commit and date are in the table's section or before the first section."""
     start, *sections = re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     for section in sections or [""]:
         if "\n|" in section or not sections:
@@ -220,7 +220,7 @@ def test_each_table_of_measurements_says_its_commit_and_its_date(page):
 
 
 def changes():
-    """(commit, cell of figures that would be others, cell of those that would not) of older.md."""
+    """Return (commit, cell of changed figures, cell of unchanged figures) from older.md."""
     rows = [line for line in OLDER.read_text(encoding="utf-8").splitlines() if "20" in line[:25]]
     for row in rows:
         _, change, moved, unmoved, _ = row.split("|")
@@ -228,7 +228,7 @@ def changes():
 
 
 def commits_of(page):
-    """Commits of a page's figures; those of its remark on its age are no figures'."""
+    """Return the commits of a page's figures, without those in the remark on its age."""
     remark = re.compile(r"\*[^*]*older\.md[^*]*\*", re.DOTALL | re.IGNORECASE)
     return set(COMMIT.findall(remark.sub("", page.read_text(encoding="utf-8"))))
 
@@ -252,8 +252,8 @@ def git(*words):
     return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-def test_no_figures_are_older_than_a_change_in_silence():
-    """Each commit of figures that lacks the change stands in the list, in one of its columns."""
+def test_figures_older_than_a_change_are_listed():
+    """Each commit of figures without the change is in one column of the list."""
     if git("cat-file", "-e", "6f6a6da").returncode:
         pytest.skip("the history of the repository is not here")
     for change, moved, unmoved in changes():

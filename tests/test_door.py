@@ -1,4 +1,4 @@
-"""`import graycast` shows the whole line, and costs nothing until it is used."""
+"""`import graycast` gives access to the whole pipeline, and loads rooms only on use."""
 
 import ast
 import inspect
@@ -22,7 +22,7 @@ SOURCE = Path(graycast.__file__)
 
 
 def test_opening_the_door_loads_the_version_and_no_other_package():
-    """In a fresh process: all else that is new in `sys.modules` belongs to Python."""
+    """In a fresh process, all other new entries of `sys.modules` belong to Python."""
     code = (
         "import sys, typing, importlib; before = set(sys.modules); import graycast;"
         "new = {m for m in set(sys.modules) - before};"
@@ -33,7 +33,7 @@ def test_opening_the_door_loads_the_version_and_no_other_package():
 
 
 def test_every_name_of_the_door_is_its_rooms_own():
-    """Python is told by `_MODULE`, type checkers by the imports: both must say the same."""
+    """Python reads `_MODULE` and type checkers read the imports, so both must agree."""
     tree = ast.parse(SOURCE.read_text(encoding="utf-8"))
     modules = {
         alias.asname: node.module
@@ -48,7 +48,7 @@ def test_every_name_of_the_door_is_its_rooms_own():
         room = import_module(f"graycast.{module}")
         assert name in room.__all__ if hasattr(room, "__path__") else hasattr(room, name)
         if module.startswith("learn") and find_spec("torch") is None:
-            continue  # What trains detectors needs PyTorch, which is optional.
+            continue  # Training needs PyTorch, which is optional.
         assert inspect.unwrap(getattr(graycast, name)) is inspect.unwrap(getattr(room, name))
 
 
@@ -69,7 +69,7 @@ def test_a_name_that_the_door_lacks_is_an_attribute_error_and_a_broken_room_is_n
         _ = graycast.rendering
 
 
-def test_the_door_lists_only_what_stands_in_it():
+def test_dir_of_graycast_lists_only_its_public_names():
     assert {name for name in dir(graycast) if name[:2] != "__"} == {*graycast.__all__[1:]}
 
 
@@ -89,14 +89,14 @@ def test_python_runs_the_package():
 
 @pytest.fixture(scope="module")
 def cell_and_shot(tmp_path_factory, mitsuba_renderer):
-    """A small cell, and one scene of it made by hand."""
+    """Return a small cell and one scene of it, made without `generate`."""
     path = write_cell(tmp_path_factory.mktemp("cell"))
     cell = graycast.load_cell(path)
     return cell, graycast.make_scene(cell, 0, seed=5, renderer=mitsuba_renderer)
 
 
 def test_a_scene_saved_by_hand_is_the_one_that_generate_writes(cell_and_shot, tmp_path):
-    """Byte for byte but for the timings, and `generate` goes on with the folder."""
+    """All bytes but the timings are equal, and `generate` can continue in the folder."""
     cell, shot = cell_and_shot
     saved = graycast.save_scene(cell, shot, tmp_path / "hand")
     assert saved == tmp_path / "hand/train/000000" and not validate(tmp_path / "hand")

@@ -52,9 +52,9 @@ def test_every_example_is_tested_and_under_80_lines():
 
 
 def sheet_medians_mm(path):
-    """Of each large picture on a sheet, row by row: the median error that its colours stand for.
+    """Return the median error that the colours of each large picture on a sheet show, by row.
 
-    Red and blue are errors of 5 mm, and white is none.
+    Red and blue are errors of 5 mm; white is no error.
     """
     picture = cv2.imread(str(path))[..., ::-1]
     inked = (picture < 255).any(axis=-1).astype(np.uint8)
@@ -67,8 +67,8 @@ def sheet_medians_mm(path):
 
 
 @pytest.mark.slow
-def test_a_mesh_is_made_as_it_lies_beside_the_example(tmp_path):
-    """Its folder is `out`, which git ignores in a clone."""
+def test_the_mesh_next_to_the_example_is_made_again_exactly(tmp_path):
+    """The mesh is written into `out`, which git ignores."""
     run("01_make_a_mesh.py", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert (tmp_path / "out/plate.stl").read_bytes() == (EXAMPLES / "data/plate.stl").read_bytes()
@@ -84,7 +84,7 @@ def test_one_scene_is_compared_with_its_truth(tmp_path):
 
 @pytest.mark.slow
 def test_plain_gray_code_is_wrong_in_a_bowl_where_micro_phases_are_not(tmp_path):
-    """As M. Gupta and S. Nayar found (CVPR 2012); two samples add noise of their own to both."""
+    """M. Gupta and S. Nayar found this (CVPR 2012); two samples add noise to both codes."""
     text = run("03_codes_in_a_bowl.py", tmp_path)
     off = {line.split()[0]: float(line.split()[3][:-1]) for line in text.splitlines()[1:]}
     assert off["gray"] > 2 * off["micro_phase"]
@@ -132,7 +132,7 @@ def test_a_dataset_is_read_back(tmp_path):
 
 @pytest.mark.slow
 def test_pictures_of_a_wall_become_its_cloud(tmp_path):
-    """By the reference renderer; the rig and the pictures are all that the example has."""
+    """The reference renderer makes the pictures; the example reads only these and the rig."""
     rig = make_rig(centred(160, 120, 200), centred(128, 96, 160))
     scanner = Scanner(rig=rig, code=CodeSpec(codec="gray_phase", axes=("column",)))
     scene = Scene(
@@ -157,7 +157,7 @@ def test_pictures_of_a_wall_become_its_cloud(tmp_path):
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 @pytest.mark.slow
 def test_a_detector_of_another_library_is_trained_and_finds_boxes(tmp_path):
-    """No machine of ours has rfdetr at all times: without it, the example says what it lacks."""
+    """Without rfdetr, which is rarely installed, the example says that it is missing."""
     pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
     write_shapes(tmp_path / "shapes", 10)
     done = subprocess.run(

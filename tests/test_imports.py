@@ -1,4 +1,4 @@
-"""Which module may import which: the one table of the package's arrows (STYLE.md, section 2)."""
+"""Test the imports of each module against the one table of allowed imports."""
 
 import ast
 import re
@@ -10,8 +10,8 @@ from parsed import nodes_of, tree_of
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "graycast"
 
-# Each room may import from the rooms above it. The docstring of a room has the order of its own
-# modules; what it does not name comes before what it names.
+# Each room may import from the rooms above it. The docstring of a room gives the order of its
+# modules; those that it does not name come first.
 ROOMS = (
     "base",
     "rig",
@@ -27,7 +27,7 @@ ROOMS = (
     "show",
     "cli",
 )
-# What more is not allowed, so that no result depends on what it is not made of.
+# These imports are also forbidden, so that no result depends on unrelated inputs.
 FORBIDDEN = {
     "rendering": {"world.drop"},
     "camera.sensor": {"world.drop", "rendering"},
@@ -54,7 +54,7 @@ FORBIDDEN = {
         *("cell.generate", "show.report"),
     },
 }
-# Rooms of one thing: their docstrings name few files or none.
+# The docstrings of rooms with one purpose name few files or none.
 WHOLE_LINE = {"cell.simulate", "cell.generate", "show.report", "show.live", "cli"}
 MITSUBA = {"rendering", "cli.doctor"}
 # The truth is the renderer's, so the dataset takes its values, but no back end.
@@ -62,7 +62,7 @@ ONLY_VALUES = {"dataset": {"rendering": {"rendering", "rendering.radiance"}}}
 
 
 def modules():
-    """Dotted name below the package, file, and whether it is a folder's `__init__`.
+    """Return each module's dotted name in the package, its file, and if it is an `__init__`.
 
     `python -m graycast` is no room: it only runs the command line.
     """
@@ -73,19 +73,19 @@ def modules():
 
 @cache
 def import_nodes(file):
-    """The statements that import, anywhere in a file."""
+    """Return all import statements of a file, nested ones too."""
     return [node for node in nodes_of(file) if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
 @cache
 def order_in(room):
-    """The modules of a room from the ground, as its docstring names them."""
+    """Return the modules of a room in the order of its docstring, lowest first."""
     text = ast.get_docstring(tree_of(SOURCE / room / "__init__.py"))
     return tuple(re.findall(r"^    (\w+) {2,}\S.*$", text, re.MULTILINE))
 
 
 def imports(name, file, is_folder, nodes=None):
-    """Dotted names below the package that a file imports, anywhere in it."""
+    """Return the dotted names in the package that a file imports, nested imports too."""
     package = name if is_folder else name[:-1]
     for node in import_nodes(file) if nodes is None else nodes:
         if isinstance(node, ast.Import):
@@ -106,17 +106,17 @@ def imports(name, file, is_folder, nodes=None):
 
 
 def within(target, places):
-    """Whether a dotted name is one of some places or inside one."""
+    """Whether a dotted name is one of the places or is inside one."""
     return any(".".join(target[: place.count(".") + 1]) == place for place in places)
 
 
 def of(name, table):
-    """What a table says of a module, of its folder, and of its room."""
+    """Return the entries of a table for a module, its folder and its room together."""
     return set().union(*(table.get(".".join(name[:n]), set()) for n in range(1, len(name) + 1)))
 
 
 def broken_arrows(name, targets):
-    """What a module of that name may not import; the door shows the whole house."""
+    """Return the forbidden imports of a module; `graycast/__init__.py` may import all."""
     if not name:
         return set()
     room = name[0]
@@ -124,7 +124,7 @@ def broken_arrows(name, targets):
     forbidden = of(name, FORBIDDEN)
     wrong = set()
     for target in targets:
-        if not target:  # The door is for users; rooms name what they take.
+        if not target:  # `graycast` itself is for users; rooms import from rooms.
             wrong.add("graycast")
             continue
         if target[0] == room:
@@ -145,7 +145,7 @@ def comes_before(first, second):
 
 
 def test_every_module_has_its_place():
-    """A room in the table, and a module in the docstring of its room."""
+    """Each room is in the table, and each module is in the docstring of its room."""
     tops = {name[0] for name, _, _ in modules() if name}
     assert tops == set(ROOMS), f"give {sorted(tops ^ set(ROOMS))} a line in ROOMS, or none"
     for room in ROOMS:
@@ -154,7 +154,7 @@ def test_every_module_has_its_place():
 
 
 def test_a_module_imports_only_from_modules_above_it():
-    """One test for all of them: as a case each they took as long to be told of as to be read."""
+    """One test checks all modules, because a test case for each doubled the time."""
     broken = {
         ".".join(name): wrong
         for name, file, is_folder in modules()
@@ -164,7 +164,7 @@ def test_a_module_imports_only_from_modules_above_it():
 
 
 def test_no_files_import_each_other_in_a_circle():
-    """Also not by imports within functions."""
+    """Imports within functions count too."""
     graph = {}
     for name, file, is_folder in modules():
         targets = set(imports(name, file, is_folder, import_nodes(file)))
@@ -173,8 +173,8 @@ def test_no_files_import_each_other_in_a_circle():
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
-def test_what_a_real_scanner_brings_shares_files_and_nothing_else():
-    """Calibration, bin, labels and figures are folders apart; a twin is judged by figures."""
+def test_rooms_for_real_scanners_share_only_files():
+    """Each task has its own folder; only `twin` may import another one, `realism`."""
     folders = {name[1] for name, _, _ in modules() if name[:1] == ("real",) and name[2:]}
     assert folders == {"calibrate", "fit_bin", "import_real", "realism", "rescan", "twin"}
     known = {"twin": {"twin", "realism"}}
@@ -191,7 +191,7 @@ def test_the_door_shows_every_room_in_its_order():
     assert tuple(re.findall(r"^    (\w+) {2,}\S.*$", text, re.MULTILINE)) == ROOMS
 
 
-def test_no_room_comes_in_by_the_door():
+def test_no_room_imports_from_graycast_itself():
     """`from graycast import Scene` inside the package would hide an arrow from the table."""
     for name, file, is_folder in modules():
         package = name if is_folder else name[:-1]
@@ -204,8 +204,8 @@ def test_no_room_comes_in_by_the_door():
                 assert {a.name for a in node.names} == rooms, ".".join(name)
 
 
-def test_only_the_modules_named_see_the_whole_line():
-    """The products of physics, light and files meet nowhere else."""
+def test_only_the_named_modules_import_the_whole_pipeline():
+    """Only these modules combine results of physics, light and files."""
     line = ("world.drop", "rendering", "dataset")
     for name, file, is_folder in modules():
         if name and not within(name, WHOLE_LINE):
@@ -213,8 +213,8 @@ def test_only_the_modules_named_see_the_whole_line():
             assert not all(any(within(t, {place}) for t in targets) for place in line), name
 
 
-def test_the_table_notices_a_wrong_arrow(tmp_path):
-    """Relative, absolute and nested imports, of a later room and module and of a forbidden one."""
+def test_the_table_notices_a_wrong_import(tmp_path):
+    """The imports are relative, absolute or nested; their targets are later or forbidden."""
     file = tmp_path / "wrong.py"
     file.write_text(
         "from ..world.drop import drop\nimport graycast.cli\nfrom ..world import scene\n"
@@ -228,7 +228,7 @@ def test_the_table_notices_a_wrong_arrow(tmp_path):
 
 
 def test_mitsuba_and_drjit_are_imported_inside_render_alone():
-    """Elsewhere they would be loaded before a device was chosen."""
+    """Any other import would load them before a device is chosen."""
     for name, file, _ in modules():
         if name and within(name, MITSUBA):
             continue

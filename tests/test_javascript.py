@@ -1,4 +1,4 @@
-"""The scripts of the pages, read by TypeScript's checker with the types that their JSDoc says."""
+"""Check the scripts of the pages with TypeScript and the types in their JSDoc."""
 
 import json
 import shutil
@@ -27,7 +27,7 @@ OPTIONS = {
     "noImplicitThis": True,
     "noUnusedLocals": True,
 }
-# What each page loads, but for the script that holds its content.
+# These are the scripts of each page, without the one that holds its content.
 PAGES = {
     "page": (WEB, ("core.js", *page._WEB.scripts, "app.js")),
     "picks": (SOURCE / "show/report/picks/web", ("core.js", *picks._WEB.scripts, "app.js")),
@@ -48,13 +48,13 @@ def run(tool, *arguments):
 
 
 def scripts(name):
-    """The scripts of a page: its own, or those of the page of a dataset."""
+    """Return the scripts of a page: its own, or those of the page of a dataset."""
     folder, names = PAGES[name]
     return [folder / one if (folder / one).is_file() else WEB / one for one in names]
 
 
 def checked(folder, files):
-    """What TypeScript's checker says of some scripts that one page loads."""
+    """Return the output of TypeScript's checker for scripts that one page loads."""
     settings = folder / "tsconfig.json"
     files = [str(one) for one in (WEB / "types.d.ts", *files)]
     settings.write_text(json.dumps({"compilerOptions": OPTIONS, "files": files}))
@@ -77,7 +77,7 @@ def test_the_scripts_of_a_page_fit_the_types_that_they_say(name, tmp_path):
     ],
 )
 def test_a_name_or_a_number_of_arguments_that_is_wrong_is_noticed(right, wrong, tmp_path):
-    """The check has teeth: scripts read without their types would pass whatever they say."""
+    """Scripts read without their types would pass the check with any fault."""
     broken = []
     for path in scripts("page"):
         text = path.read_text(encoding="utf-8")

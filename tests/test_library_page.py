@@ -1,4 +1,4 @@
-"""The Python on `docs/how-to/python.md` runs as it stands there."""
+"""The Python code on `docs/how-to/python.md` runs unchanged."""
 
 import re
 import shutil
@@ -19,7 +19,7 @@ BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 
 @pytest.mark.slow
 def test_the_first_lines_make_and_save_a_scene(tmp_path, monkeypatch, mitsuba_renderer):
-    """On a small cell in the place of the demo: the scene that `generate` makes."""
+    """With a small cell instead of the demo, the code makes the same scene as `generate`."""
     assert len([line for line in BLOCKS[0].splitlines() if line.strip()]) < 10
     monkeypatch.chdir(tmp_path)
     (tmp_path / "configs").mkdir()
@@ -36,7 +36,7 @@ def test_the_first_lines_make_and_save_a_scene(tmp_path, monkeypatch, mitsuba_re
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
 def test_every_block_of_the_page_runs_in_its_order(tmp_path, monkeypatch, capsys):
-    """On the demo's own files; later blocks use the names of earlier ones."""
+    """The blocks run on the demo's files, and later blocks use names of earlier ones."""
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     assert len(BLOCKS) == 5

@@ -1,4 +1,4 @@
-"""How large the project may be: what a person can hold in the head stays so because it is a test.
+"""Limit the size of the project, so that one person can still understand it as a whole.
 
 Each number in a table is what the project has today. It may be made smaller at any time, and a
 commit that makes it larger says why.
@@ -50,14 +50,14 @@ MANY_ARGUMENTS = {
 
 @cache
 def sources() -> dict[str, str]:
-    """The text of each file, by its path from the package's folder."""
+    """Return the text of each file by its path in the package."""
     paths = sorted(SOURCE.rglob("*.py"))
     return {path.relative_to(SOURCE).as_posix(): path.read_text() for path in paths}
 
 
 @cache
 def definitions() -> list[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]]:
-    """Each function and class, with its file."""
+    """Return each function and class with its file."""
     kinds = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
     return [
         (name, node)
@@ -68,7 +68,7 @@ def definitions() -> list[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef | as
 
 
 def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
-    """Each function's file and name, and its tree."""
+    """Yield the file and name of each function, and its syntax tree."""
     for name, node in definitions():
         if not isinstance(node, ast.ClassDef):
             yield f"{name} {node.name}", node

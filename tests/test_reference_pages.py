@@ -1,4 +1,4 @@
-"""The pages of the reference that come from the models and from the parser."""
+"""Test the reference pages that are generated from the models and the parser."""
 
 import html
 import importlib.util
@@ -29,7 +29,7 @@ def reference():
 
 
 def parsers(parser):
-    """Every command's words and parser."""
+    """Return the words and the parser of every command."""
     yield parser
     for action in parser._actions:
         if isinstance(action.choices, dict):
@@ -38,7 +38,7 @@ def parsers(parser):
 
 
 def schemas(capsys):
-    """What `graycast schema` prints, by kind."""
+    """Return the output of `graycast schema` for each kind."""
     schema = next(parser for parser in parsers(_parser()) if parser.prog == "graycast schema")
     for kind in next(action.choices for action in schema._actions if action.dest == "kind"):
         options = _parser().parse_args(["schema", kind])
@@ -72,7 +72,7 @@ def test_every_command_has_a_chapter_and_every_flag_an_anchor(reference):
 
 
 def test_every_material_has_a_row_with_its_numbers(reference):
-    """Read back from the table, whose columns its head names."""
+    """The numbers are read from the table by the names of its columns."""
     head, _, *lines = (
         reference.pages()["reference/materials.md"].rpartition("| name")[2].split("\n")
     )
@@ -117,7 +117,7 @@ def test_no_anchor_of_a_page_is_given_twice(reference):
 
 
 def test_the_pages_in_the_repository_are_those_of_the_program(reference):
-    """A key or a flag that was renamed would stay on a page that readers of a clone see."""
+    """Otherwise the old name of a key or a flag would stay on the pages of a clone."""
     for place, text in reference.pages().items():
         page = SCRIPT.parent / place
         stored = page.read_text(encoding="utf-8") if page.exists() else ""

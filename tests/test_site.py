@@ -1,4 +1,4 @@
-"""The documentation: every block of code is one that works, and the site is built and whole."""
+"""Test that code blocks of the docs are valid and that the site builds completely."""
 
 import html
 import json
@@ -23,7 +23,7 @@ FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 
 
 def blocks(*languages):
-    """(page, code) of the fenced blocks in a language, also of those inside the steps of a list."""
+    """Return (page, code) of the fenced blocks in a language, also those inside lists."""
     for page in PAGES:
         for _, language, code in FENCE.findall(page.read_text(encoding="utf-8")):
             if language in languages:
@@ -31,7 +31,7 @@ def blocks(*languages):
 
 
 def commands():
-    """Each `graycast ...` that a page tells to run, joined where a backslash breaks it."""
+    """Return each `graycast ...` command of the pages, joined at its backslashes."""
     for page, code in blocks("sh"):
         for line in code.replace("\\\n", " ").splitlines():
             for command in re.split(r"&&|;|\||>", re.sub(r"(^|\s)#.*", "", line)):
@@ -41,7 +41,7 @@ def commands():
 
 
 def test_every_command_on_the_pages_is_one_that_the_parser_takes():
-    """An option that was renamed would be told to readers for ever."""
+    """Otherwise the old name of an option would stay on the pages."""
     lines = list(commands())
     assert len(lines) > 40
     for page, words in lines:
@@ -69,7 +69,7 @@ def test_every_file_that_a_page_names_is_there():
 
 
 class Links(HTMLParser):
-    """What a page links to and loads, and the anchors that it has."""
+    """Collect the links, the loaded files and the anchors of a page."""
 
     def __init__(self, text):
         super().__init__()
@@ -89,7 +89,7 @@ class Links(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The folder of the site; MkDocs must build it without a warning."""
+    """Return the folder of the site, which MkDocs must build without a warning."""
     pytest.importorskip("mkdocs", reason="needs MkDocs: pip install 'graycast[docs]'")
     folder = tmp_path_factory.mktemp("documentation") / "site"
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder]
@@ -163,7 +163,7 @@ def spec_of(section):
 
 @pytest.mark.slow
 def test_the_reference_shows_every_name_of_the_door(tmp_path):
-    """What `graycast` has as an attribute, a reader can look up."""
+    """Every public attribute of `graycast` is in the reference."""
     import graycast
 
     text = "\n".join(

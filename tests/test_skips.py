@@ -1,4 +1,4 @@
-"""A test that is skipped for a reason that nobody wrote down fails the run of `.ci/run`."""
+"""A test that is skipped for an unlisted reason fails the run of `.ci/run`."""
 
 from types import SimpleNamespace
 
@@ -9,7 +9,7 @@ LIST = "# a comment\nany     this machine has a GPU\nextras  needs torch\n"
 
 
 def finished(folder, reason, lacks):
-    """The exit status of a run in which a test was skipped, and the lines at its end."""
+    """Return the exit status and the last lines of a run in which a test is skipped."""
     (folder / "skips.txt").write_text(LIST, encoding="utf-8")
     skips = Skips(folder / "skips.txt", lacks)
     skips.pytest_runtest_logreport(
@@ -37,6 +37,6 @@ def test_a_skip_for_an_unlisted_reason_fails_the_run(tmp_path, reason):
     assert "NOT ALLOWED HERE" in line
 
 
-def test_what_the_list_does_not_know_cannot_be_lacking(tmp_path):
+def test_a_missing_feature_must_be_one_that_the_list_names(tmp_path):
     with pytest.raises(pytest.UsageError, match="extra"):
         finished(tmp_path, "", ["extra"])

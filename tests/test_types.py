@@ -32,7 +32,7 @@ def name_of(function):
 
 
 def test_no_default_of_a_field_is_positional():
-    """Type checkers know a pydantic default by its keyword, and else take the key as required."""
+    """Type checkers treat a field as required unless its default is a keyword argument."""
     calls = [
         (path.relative_to(ROOT), call)
         for path in sorted((ROOT / "src").rglob("*.py"))
@@ -66,7 +66,7 @@ WRONG_LINES = [k for k, line in enumerate(WRONG.splitlines(), 1) if k > 3 and li
 
 
 def python_of(page):
-    """The Python of a page, each line where it stands on the page."""
+    """Return the Python code of a page; each line keeps its line number."""
     text = page.read_text(encoding="utf-8")
     lines = [""] * (text.count("\n") + 1)
     for block in PYTHON_BLOCK.finditer(text):
@@ -78,7 +78,7 @@ def python_of(page):
 
 @pytest.fixture(scope="module")
 def user_files(tmp_path_factory):
-    """Everything that the documentation and the examples show, as modules of a user."""
+    """Write all code of the documentation and the examples as modules of a user."""
     folder = tmp_path_factory.mktemp("user")
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
         if code := python_of(page):

@@ -1,4 +1,4 @@
-"""The package as others get it: a wheel in a fresh environment makes a scene."""
+"""Test the package as users install it: a wheel in a fresh environment makes a scene."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ BUILD = "import sys; from setuptools import build_meta; print(build_meta.build_w
 
 
 def run(command, folder, **environment):
-    """In a clean environment: neither the sources nor this process's settings are seen."""
+    """Run a command that sees neither the sources nor this process's settings."""
     variables = {key: os.environ[key] for key in ("PATH", "HOME", "LANG") if key in os.environ}
     done = subprocess.run(
         list(map(str, command)),
@@ -31,7 +31,7 @@ def run(command, folder, **environment):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Built from a copy of what a clone has, by the back end that pyproject.toml names."""
+    """Build a wheel from a copy of a clone, with the back end that pyproject.toml names."""
     pytest.importorskip("setuptools", minversion="77", reason="needs setuptools 77: see make test")
     copy = tmp_path_factory.mktemp("clone")
     tracked = run(["git", "ls-files", "src", "pyproject.toml", "README.md", "LICENSE"], ROOT)

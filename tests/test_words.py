@@ -1,4 +1,4 @@
-"""The words of the code: a name says what a thing is, in the words of CONTRIBUTING.md."""
+"""Check that names in the code use the terms of CONTRIBUTING.md."""
 
 import ast
 import re
@@ -30,7 +30,7 @@ REMAINING = {
 
 
 def defined(nodes: Iterable[ast.AST]) -> Iterator[str]:
-    """The names that a file gives: functions, classes, parameters, variables and fields."""
+    """Yield the names that a file defines: functions, parameters, variables and so on."""
     for node in nodes:
         match node:
             case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
@@ -44,18 +44,18 @@ def defined(nodes: Iterable[ast.AST]) -> Iterator[str]:
 
 
 def parts(name: str) -> set[str]:
-    """The words of a name, in small letters."""
+    """Return the words of a name in lower case."""
     return {word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)}
 
 
 def unused_words() -> set[str]:
-    """The words of the third column of the table in CONTRIBUTING.md."""
+    """Return the words in the third column of the table in CONTRIBUTING.md."""
     table = re.findall(r"^\|[^|]+\|[^|]+\|([^|]+)\|$", (ROOT / "CONTRIBUTING.md").read_text(), re.M)
     return {word for cell in table for word in re.findall(r"`(\w+)`", cell)}
 
 
 def names_with(words: set[str], *folders: str) -> Counter[str]:
-    """How often a name with one of the words is defined below folders; names of tests are texts."""
+    """Count definitions of names with one of the words in folders, without test names."""
     files = {file for folder in folders for file in (ROOT / folder).rglob("*.py")}
     names = Counter(name for file in files - {Path(__file__)} for name in defined(nodes_of(file)))
     left = {name for name in names if parts(name) & words and not name.startswith("test_")}
@@ -63,7 +63,7 @@ def names_with(words: set[str], *folders: str) -> Counter[str]:
 
 
 def test_no_name_has_a_word_of_another_thing():
-    """The words come from the table that people read."""
+    """The unwanted words are read from the table in CONTRIBUTING.md."""
     words = unused_words()
     assert {"told", "held", "seen"} <= words
     left = names_with(words, "src/graycast")

@@ -299,7 +299,7 @@ def one_point(camera, projector, *, weight=(1.0,)):
 
 
 def test_places_count_by_what_they_show_from_above():
-    """Of the weight, 0.7 is seen and 0.5 is measured; 0.4 is measured 0.2 mm too far away."""
+    """Seen weight is 0.7, measured weight 0.5, of which 0.4 is 0.2 mm too far away."""
     surface, view = one_point(VISIBLE, VISIBLE, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
     fates = (Fate.MEASURED, Fate.MEASURED, Fate.DARK, Fate.HIDDEN_BY_PARTS, Fate.MEASURED)
     point_fates = PointFates(

@@ -1,12 +1,18 @@
 """Test detections that are converted from the network's input to the picture's pixels."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from pycocotools import mask as coco_mask
 
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
+from graycast.dataset.detections import Detections
+from graycast.dataset.example import Example
+from graycast.learn.detect.detecting import PictureSelection, detect
 from graycast.learn.detect.detector import _detections
+from graycast.learn.detect.encoding import Encoding
 from graycast.learn.detect.network import NetworkOutput
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
@@ -33,3 +39,38 @@ def test_boxes_and_outlines_are_as_many_times_as_large_as_the_picture_is(times):
         whole = np.zeros(picture_px, np.uint8)
         whole[y : y + rows, x : x + columns] = 1
         np.testing.assert_array_equal(coco_mask.decode(dict(run)), whole)
+
+
+def one_detection(score):
+    box_px = np.array([[1.0, 1, 4, 4]])
+    return Detections(scene_id=0, score=np.array([score]), obj_id=np.array([1]), box_px=box_px)
+
+
+@pytest.mark.parametrize(
+    ("scores", "drawings", "bare"),
+    [
+        ((0.3, 0.49), 2, "2 of 2"),
+        ((0.3, 0.9), 2, "1 of 2"),
+        ((0.9, 0.3), 1, ""),
+        ((0.5, 1.0), 2, ""),
+    ],
+)
+def test_a_note_counts_the_drawings_whose_detections_all_have_too_low_a_score(
+    tmp_path, scores, drawings, bare
+):
+    """Only the first pictures are drawn; what was found in another picture does not count."""
+    found = iter(scores)
+    detector = SimpleNamespace(
+        about=SimpleNamespace(
+            model="", backbone="", names=["a"], encoding=Encoding(input="rgb", size_px=(32, 32))
+        ),
+        detect=lambda *_, **__: one_detection(next(found)),
+    )
+    rgb = np.zeros((8, 8, 3), np.uint8)
+    pictures = PictureSelection(
+        examples=[Example(scene_id=i, rgb=rgb) for i in range(2)], scene_ids=(0, 1),
+        class_ids={"a": 1}, record={},
+    )  # fmt: skip
+    notes = detect(detector, pictures, tmp_path / "found", drawings=drawings).notes
+    words = "drawings show no outline: detections are drawn from a score of 0.5 on"
+    assert notes == ((f"{bare} {words}",) if bare else ())

@@ -26,7 +26,7 @@ from ...real.depth_file import FileOptions
 from ...real.depth_sense import filled_holes
 from ...real.picture_pairs import RealPicture, find_shots, read_shot
 from .detector import About, Detector
-from .drawing import draw_detections
+from .drawing import LEAST_SCORE, draw_detections
 from .encoding import Encoding
 
 DRAWINGS = "drawings"
@@ -36,7 +36,7 @@ LEAST_INSIDE = 0.5  # A note warns if less of a picture's depth is in the range 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectionResult:
-    """Detections in pictures, the time for each picture [ms], and notes on depth."""
+    """Detections in pictures, the time for each picture [ms], and notes on depth and drawings."""
 
     found: tuple[Detections, ...]
     ms_per_picture: tuple[float, ...]
@@ -111,6 +111,10 @@ def detect(
         }
         (folder / DETECT_JSON).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(detections))
+    drawn = detections[:drawings]
+    if bare := sum(len(one) > 0 and one.score.max() < LEAST_SCORE for one in drawn):
+        words = f"{bare} of {len(drawn)} drawings show no outline"
+        notes.insert(0, f"{words}: detections are drawn from a score of {LEAST_SCORE:g} on")
     return DetectionResult(
         found=tuple(detections), ms_per_picture=tuple(times_ms), notes=tuple(notes)
     )

@@ -134,6 +134,7 @@ def test_a_wrong_setting_is_named_with_its_file_and_what_is_allowed(
     assert not out.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -250,6 +251,7 @@ def test_a_broken_texture_is_named_with_the_remedy(capsys, tmp_path, damage):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [slow("exr"), "hdr"])
 def test_a_cut_environment_map_is_named_and_claims_no_folder(capsys, tmp_path, ending):
     """The output folder once stayed claimed, and so refused the corrected configuration."""
@@ -274,6 +276,7 @@ def test_a_broken_rig_file_is_named_by_its_key(capsys, tmp_path):
     assert "did you mean near_m?" in refusal(capsys, "rig", "show", rig)
 
 
+@pytest.mark.slow
 def test_parts_that_cannot_lie_in_the_bin_are_refused_before_they_fall(capsys, tmp_path):
     for count, inner_m, words in (
         (3, [0.02, 0.02, 0.1], ["part box", "60 x 40 x 30 mm", "20 x 20 x 100 mm", "larger bin"]),
@@ -403,6 +406,7 @@ def test_a_folder_that_may_not_be_written_is_named(capsys, tmp_path):
     assert "make the folder writable" in text
 
 
+@pytest.mark.slow
 def test_a_picture_or_table_without_a_folder_says_what_to_check(capsys, tmp_path):
     nowhere = tmp_path / "none" / "rig.png"
     text = refusal(capsys, "rig", "show", "paper", "--out", nowhere)

@@ -95,6 +95,7 @@ def cell_and_shot(tmp_path_factory, mitsuba_renderer):
     return cell, graycast.make_scene(cell, 0, seed=5, renderer=mitsuba_renderer)
 
 
+@pytest.mark.slow
 def test_a_scene_saved_by_hand_is_the_one_that_generate_writes(cell_and_shot, tmp_path):
     """All bytes but the timings are equal, and `generate` can continue in the folder."""
     cell, shot = cell_and_shot

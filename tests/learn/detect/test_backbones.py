@@ -55,6 +55,7 @@ def test_every_map_has_the_size_and_channels_that_the_backbone_states(name):
     assert [tuple(m.shape) for m in maps] == stated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [slow(name) if "resnet" in name else name for name in PUBLISHED])
 def test_published_weights_give_the_maps_of_the_published_classifier(name):
     """Oracle: torchvision's network, cut by its own tracing."""
@@ -122,6 +123,7 @@ def test_darknet_has_the_53_layers_and_parameters_of_the_paper():
     assert sum(p.numel() for p in body.parameters()) == 40_584_928
 
 
+@pytest.mark.slow
 def test_norms_adapt_within_tens_of_steps():
     """After n steps on one picture, the remaining error of the statistics is 0.9^n."""
     body = open_backbone("mobilenet-v3-small", channels=3)

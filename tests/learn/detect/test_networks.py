@@ -115,6 +115,7 @@ def test_empty_detections_have_the_promised_form(model, ready):
         assert output.mask is None or output.mask.shape == (0, *SIZE_PX)
 
 
+@pytest.mark.slow
 @FIRST
 def test_one_seed_gives_one_network_and_one_loss(model):
     images, targets = pictures()
@@ -149,6 +150,7 @@ def test_pictures_without_parts_teach_that_there_is_nothing(model):
         assert any(slope.any() for slope in slopes)
 
 
+@pytest.mark.slow
 @FIRST
 def test_saved_weights_find_the_same(model, ready, tmp_path):
     first, second = ready(model), opened(model, seed=9).eval()
@@ -225,8 +227,9 @@ def test_the_judge_knows_what_is_right_and_what_is_not():
         assert ap50(targets, wrong, kind) < 0.1
 
 
-# Largest numbers of steps over four pictures; training ends sooner once they are learnt.
-STEPS = {"mask-rcnn": 120, "yolov3": 100, "solov2": 80, "yolov7": 120}
+# Largest numbers of steps over four pictures; training ends sooner once they are learnt. Mask R-CNN
+# and YOLOv3 have the harder test `test_it_learns_what_is_drawn`, on pictures that they never saw.
+STEPS = {"solov2": 80, "yolov7": 120}
 
 
 @pytest.mark.slow

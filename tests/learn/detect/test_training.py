@@ -204,6 +204,7 @@ def refusal(capsys, *arguments) -> str:
     return lines[0]
 
 
+@pytest.mark.slow
 def test_impossible_trainings_are_refused_in_one_line(dataset, tmp_path, capsys):
     """Each mistake names the thing and the remedy."""
     options = f"{SMALL_NETWORK} --epochs 1 --batch 2".split()
@@ -278,6 +279,7 @@ def test_every_setting_is_in_the_claim_of_a_run_or_changes_no_weight(tmp_path):
     assert alike == {"device", "workers"}
 
 
+@pytest.mark.slow
 def test_a_training_is_not_resumed_with_changed_data(dataset, tmp_path):
     """A dataset replaced between the halves of a training was once taken for the first one."""
     own = shutil.copytree(dataset, tmp_path / "own")
@@ -426,6 +428,7 @@ class OwnNetwork(Network):
         return [NetworkOutput(box=box, label=label, score=one, mask=None) for one in score]
 
 
+@pytest.mark.slow
 def test_a_network_of_the_user_is_trained_saved_and_read_with_its_class(dataset, tmp_path):
     """Oracle: each step of AdamW without decay moves a weight by the learning rate at most."""
     detector = graycast.train([dataset], tmp_path / "run", SMALL, network=OwnNetwork)
@@ -453,6 +456,7 @@ def test_a_former_name_of_a_network_names_the_example_that_replaces_it(capsys):
     assert "examples/09_own_detector.py" in message and "invalid choice" not in message
 
 
+@pytest.mark.slow
 def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
     with pytest.raises(GraycastError, match=r"the loss is not a number after \d+ steps: lower"):
         train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
@@ -475,6 +479,7 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
         load_detector(tmp_path / "nowhere")
 
 
+@pytest.mark.slow
 def test_weights_that_do_not_fit_the_network_are_refused(run, tmp_path):
     checkpoint = torch.load(run / "detector.pt", weights_only=True)
     checkpoint["state"] = {f"renamed.{name}": value for name, value in checkpoint["state"].items()}
@@ -500,6 +505,7 @@ def run(dataset, tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_impossible_inputs_of_detection_are_refused_in_one_line(dataset, run, tmp_path, capsys):
     def message(*arguments, data=dataset, out=tmp_path / "found"):
         return refusal(capsys, "detector", "find", run, data, "--out", out, *arguments)

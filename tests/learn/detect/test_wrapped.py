@@ -66,6 +66,7 @@ def test_yolov7_finds_the_boxes_of_libreyolo():
         assert apart.amin(dim=0).max() < 1e-4 and apart.amin(dim=1).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_yolov7_anchors_are_the_published_ones_at_the_published_size():
     network = opened("yolov7", size_px=(640, 640))
     assert network.anchors_px[0] == [12, 16, 19, 36, 40, 28]

@@ -59,12 +59,12 @@ def test_a_note_counts_the_drawings_whose_detections_all_have_too_low_a_score(
     tmp_path, scores, drawings, bare
 ):
     """Only the first pictures are drawn; what was found in another picture does not count."""
-    found = iter(scores)
+    remaining = iter(scores)
     detector = SimpleNamespace(
         about=SimpleNamespace(
             model="", backbone="", names=["a"], encoding=Encoding(input="rgb", size_px=(32, 32))
         ),
-        detect=lambda *_, **__: one_detection(next(found)),
+        detect=lambda *_, **__: one_detection(next(remaining)),
     )
     rgb = np.zeros((8, 8, 3), np.uint8)
     pictures = PictureSelection(

@@ -111,9 +111,9 @@ def detect(
         }
         (folder / DETECT_JSON).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(detections))
-    drawn = detections[:drawings]
-    if bare := sum(len(one) > 0 and one.score.max() < LEAST_SCORE for one in drawn):
-        words = f"{bare} of {len(drawn)} drawings show no outline"
+    first = detections[:drawings]
+    if bare := sum(len(one) > 0 and one.score.max() < LEAST_SCORE for one in first):
+        words = f"{bare} of {len(first)} drawings show no outline"
         notes.insert(0, f"{words}: detections are drawn from a score of {LEAST_SCORE:g} on")
     return DetectionResult(
         found=tuple(detections), ms_per_picture=tuple(times_ms), notes=tuple(notes)

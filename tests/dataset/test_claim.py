@@ -17,6 +17,7 @@ GRAIN = Grain(axis=(1.0, 0.0, 0.0))
 GROOVED = replace(MATERIAL, metallic=1.0, anisotropy=0.5, grain=GRAIN)
 METAL = replace(MATERIAL, metallic=1.0)
 VARIED = replace(MATERIAL, roughness_map=np.full((2, 3), 200, dtype=np.uint8))
+MOTTLED = replace(MATERIAL, texture=None, mottle=0.1)
 GLASS = replace(MATERIAL, texture=None, metallic=0.0, transparent="solid")
 CHANGES = {
     "vertices_m": replace(MESH, vertices_m=MESH.vertices_m + 1e-6),
@@ -36,6 +37,8 @@ CHANGES = {
     "roughness_map": replace(VARIED, roughness_map=np.full((3, 2), 200, dtype=np.uint8)),
     "film": replace(METAL, film=0.05),
     "diffuse": replace(METAL, diffuse=0.3),
+    "mottle": replace(MOTTLED, mottle=0.11),
+    "mottle_length_m": replace(MOTTLED, mottle_length_m=0.001),
     "density_kg_m3": replace(BOX, density_kg_m3=801.0),
     "friction": replace(BOX, friction=0.51),
     "discrete": replace(MOTIONS, discrete=(TURN @ TURN,)),
@@ -48,6 +51,8 @@ CHANGES = {
 def before(field):
     if field in ("anisotropy", "grain"):
         return replace(BOX, material=GROOVED)
+    if field in ("mottle", "mottle_length_m"):
+        return replace(BOX, material=MOTTLED)
     if field in ("film", "diffuse"):
         return replace(BOX, material=METAL)
     if field == "roughness_map":

@@ -187,6 +187,8 @@ def part_digest(part: Part) -> str:
         look += ("film", material.film)
     if material.diffuse > 0:
         look += ("diffuse", material.diffuse)
+    if material.mottle > 0:
+        look += ("mottle", material.mottle, material.mottle_length_m)
     if (roughness_map := material.roughness_map) is not None:
         content = hashlib.sha256(np.ascontiguousarray(roughness_map).tobytes()).hexdigest()
         look += ("roughness_map", roughness_map.shape, content)

@@ -44,11 +44,16 @@ def at_one_wavelength(scene: Scene) -> Scene:
 
 
 def refuse_layers(scene: Scene, renderer: str) -> None:
-    """Refuse glass and films, for which only Mitsuba has our models."""
+    """Refuse glass, films and mottled surfaces, for which only Mitsuba has our models."""
     for material in _materials(scene):
-        if material.transparent is not None or material.film is not None:
-            what = "transparent materials" if material.film is None else "a film over metal"
-            raise ValueError(f"{renderer} cannot render {what}: use mitsuba")
+        present = {
+            "transparent materials": material.transparent is not None,
+            "a film over metal": material.film is not None,
+            "mottled surfaces": material.mottle > 0,
+        }
+        for what, has in present.items():
+            if has:
+                raise ValueError(f"{renderer} cannot render {what}: use mitsuba")
 
 
 def _materials(scene: Scene) -> list[Material]:

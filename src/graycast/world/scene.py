@@ -106,6 +106,11 @@ class Sphere:
         if self.material.anisotropy > 0:
             words = f"a sphere's material has the anisotropy {self.material.anisotropy}"
             raise ValueError(f"{words}; a sphere has no grain: set it to 0, or give a part")
+        if self.material.mottle > 0:
+            raise ValueError(
+                f"a sphere's material has the mottle {self.material.mottle}; only meshes can have "
+                "it: set it to 0, or give a part"
+            )
 
 
 @public_value

@@ -53,23 +53,24 @@ def retouched(
 
     `brightness` is a factor of all reflectances, `tint` another one of each band but the
     projector's; of a texture, they multiply the linear value of each texel. Reflectance is clipped
-    to 1. `roughness` and `metallic` are added and clipped to their limits; grooves stay on metal
-    only, and a transparent material does not become metallic.
+    to the material's limit, 1 without a mottle. `roughness` and `metallic` are added and clipped to
+    their limits; grooves stay on metal only, and a transparent material does not become metallic.
     """
+    limit = material.reflectance_limit
     factor = [brightness * own for own in tint]
     line = material.projector_reflectance
     roughness += material.roughness
     least = min(ROUGHNESS[0], material.roughness)
     metallic += material.metallic
     red, green, blue = (
-        min(1.0, f * level) for f, level in zip(factor, material.base_color, strict=True)
+        min(limit, f * level) for f, level in zip(factor, material.base_color, strict=True)
     )
     metallic = min(max(metallic, 0.0), 1.0) if material.transparent is None else 0.0
     return replace(
         material,
         base_color=(red, green, blue),
         texture=None if material.texture is None else _multiplied(material.texture, factor),
-        projector_reflectance=None if line is None else min(1.0, brightness * line),
+        projector_reflectance=None if line is None else min(limit, brightness * line),
         roughness=min(max(roughness, least), ROUGHNESS[1]),
         metallic=metallic,
         anisotropy=material.anisotropy if metallic > 0 else 0.0,

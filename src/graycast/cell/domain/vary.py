@@ -269,8 +269,9 @@ def _retouched_part(part: Part, values: Record) -> Part:
     change = dict(values)
     color, material = change.pop("color"), part.material
     if color is not None:
+        red, green, blue = (min(material.reflectance_limit, level) for level in color_of(color))
         material = replace(
-            material, base_color=color_of(color), texture=None, projector_reflectance=None
+            material, base_color=(red, green, blue), texture=None, projector_reflectance=None
         )
         change |= {"brightness": 1.0, "tint": (1.0, 1.0, 1.0)}
     return replace(part, material=retouched(material, **change))

@@ -2,6 +2,7 @@
 
 Each imports only from those above it:
 
+    mottle            reflectance that varies from place to place
     ggx               the distribution of microfacets of all rough materials
     dielectric        clear glass and plastic
     coated_diffuse    plastic and paint: a clear coat over a diffuse base

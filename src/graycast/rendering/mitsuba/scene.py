@@ -14,6 +14,7 @@ from ...world.scene import Lamp, Layout, Quad, Scene, bin_surfaces, lamp_quad, q
 from ..bsdf.coated_diffuse import CoatedDiffuse
 from ..bsdf.dielectric import Dielectric, ThinDielectric
 from ..bsdf.filmed_conductor import FilmedConductor
+from ..bsdf.mottle import PLACE, Mottled, places
 from ..bsdf.rough_conductor import GRAIN, BrushedConductor, RoughConductor
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
@@ -22,6 +23,7 @@ mi.register_bsdf("rough_conductor", RoughConductor)
 mi.register_bsdf("brushed_conductor", BrushedConductor)
 mi.register_bsdf("solid_glass", Dielectric)
 mi.register_bsdf("thin_glass", ThinDielectric)
+mi.register_texture("mottled", Mottled)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,9 +169,13 @@ def _facets(material: Material) -> dict[str, object]:
 
 
 def _reflectance(material: Material) -> dict[str, object]:
-    if material.texture is None:
-        return {"type": "rgb", "value": list(material.base_color)}
-    return {"type": "bitmap", "bitmap": mi.Bitmap(np.array(material.texture)), "raw": False}
+    if material.texture is not None:
+        return {"type": "bitmap", "bitmap": mi.Bitmap(np.array(material.texture)), "raw": False}
+    color: dict[str, object] = {"type": "rgb", "value": list(material.base_color)}
+    if material.mottle == 0:
+        return color
+    mottle = {"spread": material.mottle, "length": material.mottle_length_m}
+    return mottle | {"type": "mottled", "base": color}
 
 
 def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -> mi.Mesh:
@@ -201,6 +207,8 @@ def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -
     if (grain := material.grooves) is not None:
         along = corner_grain(mesh, grain).reshape(-1, 3) @ np.swapaxes(rotation, 1, 2)
         shape.add_attribute(GRAIN, 3, _flat(along))
+    if material.mottle > 0:
+        shape.add_attribute(PLACE, 3, _flat(places(corner, n, material.mottle_length_m)))
     return shape
 
 
@@ -209,9 +217,13 @@ def _flat(array: np.ndarray) -> mi.Float:
 
 
 def _flat_surface(name: str, quad: Quad) -> mi.Mesh | dict[str, object]:
-    """Return a rectangle; with grain or a picture a mesh, as the picture would be upside down."""
+    """Return a rectangle; a mesh if the surface is not the same everywhere or has a direction.
+
+    A picture on a rectangle would be upside down.
+    """
     material = quad.material
-    if material.texture is material.roughness_map is None and material.grooves is None:
+    plain = material.texture is material.roughness_map is None and material.mottle == 0
+    if plain and material.grooves is None:
         return _quad(quad)
     return _mesh(name, quad_mesh(quad), quad.material, np.eye(4)[None])
 

@@ -206,6 +206,9 @@ def _material_words(material: Material) -> str:
         shine += f", under a film of roughness {material.film:g}"
     if material.diffuse > 0:
         shine += f", {100 * material.diffuse:.0f} % scattered"
+    if material.mottle > 0:
+        length_mm = 1e3 * material.mottle_length_m
+        shine += f", mottled by {100 * material.mottle:.0f} % over {length_mm:g} mm"
     if (grain := material.grooves) is not None:
         way = "turned about" if grain.turned else "brushed along"
         shine += f", {way} {_axis_words(grain.axis)} ({material.anisotropy:g})"

@@ -13,7 +13,7 @@ from ...base.errors import ConfigError
 from ...base.file_limits import refuse_large_picture
 from ...base.settings import Positive, Settings, Share, Vector
 from .material_presets import MATERIALS, material_preset
-from .part import Color, Grain, Material, Roughness, Transparent
+from .part import Color, Grain, Material, Mottle, Roughness, Transparent
 
 
 def _known(name: str) -> str:
@@ -116,6 +116,17 @@ class MaterialSection(Settings):
         "blasted or an anodised surface: 0 scatters nothing, 1 is matt. It needs metallic above 0. "
         "The default is 0.",
     )
+    mottle: Mottle | None = Field(
+        default=None,
+        description="The relative standard deviation of the reflectance between places of the "
+        "surface, such as the grain of blasted or cast metal, up to 0.5. base_color is the mean. "
+        "The default is 0.",
+    )
+    mottle_length_m: Positive | None = Field(
+        default=None,
+        description="The distance in metres at which the correlation of mottle has fallen to 1/e. "
+        "Pixels that are larger average it away. The default is 0.0003.",
+    )
     film: Roughness | None = Field(
         default=None,
         description="The roughness of a clear film over metal, such as oil or lacquer; its index "
@@ -199,6 +210,8 @@ def resolve_material(
         raise ConfigError(f"material: {error}") from error
     if material.transparent != "solid" and section.color_depth_m is not None:
         raise ConfigError("material: color_depth_m belongs to transparent: solid; remove it")
+    if material.mottle == 0 and section.mottle_length_m is not None:
+        raise ConfigError("material: mottle_length_m belongs to mottle: add it, such as 0.1")
     return material
 
 

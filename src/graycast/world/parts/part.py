@@ -15,6 +15,8 @@ from ...base.settings import Positive, Share, Vector, check_fields
 Color = tuple[Share, Share, Share]  # Red, green and blue are linear.
 SMOOTHEST = 0.01
 Roughness = Annotated[float, Field(ge=SMOOTHEST, le=1)]
+Mottle = Annotated[float, Field(ge=0, le=0.5)]
+MOTTLE_PEAK = 1.8  # No place differs from the mean by more than this many times the mottle.
 Transparent = Literal["solid", "thin"]
 
 
@@ -69,6 +71,10 @@ class Material:
     `diffuse` is the share of a metal's light that leaves in all directions by Lambert's law, since
     steep facets of a blasted surface or an oxide layer scatter it several times.
 
+    `mottle` is the relative standard deviation of the reflectance between places, as on a blasted,
+    cast or rolled surface. The correlation is 1/e at the distance `mottle_length_m`. The mean is
+    `base_color`, which must be at most `reflectance_limit`.
+
     Leaves out: translucency, films over grooves, a map or scattering metal, anisotropic coats,
     spectra finer than three bands and that one line.
     """
@@ -86,6 +92,8 @@ class Material:
     roughness_map: UInt8[np.ndarray, "rows columns"] | None = None
     film: Roughness | None = None
     diffuse: Share = 0.0
+    mottle: Mottle = 0.0
+    mottle_length_m: Positive = 0.0003
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -108,6 +116,8 @@ class Material:
             raise ValueError(f"a material with a roughness_map {what}: remove one of the two")
         if self.film is not None:
             self._check_film()
+        if self.mottle > 0:
+            self._check_mottle()
         for picture in (self.texture, self.roughness_map):
             if picture is not None:
                 picture.flags.writeable = False
@@ -120,6 +130,25 @@ class Material:
         for key, has in (keys | {"roughness_map": self.roughness_map is not None}).items():
             if has:
                 raise ValueError(f"a material with a film has {key}: remove one of the two")
+
+    def _check_mottle(self) -> None:
+        if self.texture is not None or self.transparent is not None:
+            what = "has a texture" if self.texture is not None else "is transparent"
+            raise ValueError(f"a material with a mottle {what}: remove one of the two")
+        levels = {"base_color": max(self.base_color)}
+        levels |= {"projector_reflectance": self.projector_reflectance or 0.0}
+        for key, level in levels.items():
+            if level > self.reflectance_limit:
+                raise ValueError(
+                    f"{key} is {level:g} with a mottle of {self.mottle:g}, so bright places would "
+                    f"reflect more light than they receive: lower {key} to "
+                    f"{math.floor(1000 * self.reflectance_limit) / 1000:g}, or lower the mottle"
+                )
+
+    @property
+    def reflectance_limit(self) -> float:
+        """The largest mean reflectance with which no place reflects more light than it receives."""
+        return 1 / (1 + MOTTLE_PEAK * self.mottle)
 
     def scaled(self, factor: float) -> "Material":
         """Return the material for a mesh `factor` times as large: the lathe's axis moves."""
@@ -144,6 +173,8 @@ class Material:
             words["film"] = self.film
         if self.diffuse > 0:
             words["diffuse"] = self.diffuse
+        if self.mottle > 0:
+            words |= {"mottle": self.mottle, "mottle_length_m": self.mottle_length_m}
         if (grain := self.grooves) is not None:
             words["anisotropy"] = self.anisotropy
             words["turned" if grain.turned else "grain"] = list(grain.axis)

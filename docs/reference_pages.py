@@ -25,7 +25,7 @@ from graycast.learn.study_file import StudySpec
 from graycast.robot.pick.pick_sections import PickConfig
 from graycast.score.design.study import DesignSpec
 from graycast.world.parts import MATERIALS
-from graycast.world.parts.material_presets import MaterialPreset
+from graycast.world.parts.material_presets import OUR_CHOICE, MaterialPreset
 
 Schema = dict[str, Any]
 
@@ -66,8 +66,9 @@ one exposure; `python -m benchmarks swatches` draws the picture.
 The colour of a metal is the reflectance of its clean, smooth surface at normal incidence, at 610,
 550 and 465 nm, from published indices; a measured colour is the reflectance at these wavelengths.
 The colour of glass, PMMA and PET is what 10 mm leave of the light; their source is of the index.
-Real parts are darker by films of oxide: compare with yours. Roughness and anisotropy are
-our choice.
+Real parts are darker by films of oxide: compare with yours. All other numbers are
+our choice, except where *surface* names a source. *Diffuse* is the scattered share of a metal's
+light, *mottle* its relative spread of reflectance, over a length.
 
 | name | base color | metallic | roughness | anisotropy | density kg/m³ | source of the colour |
 |---|---|---|---|---|---|---|
@@ -140,9 +141,16 @@ def _material(name: str, preset: MaterialPreset) -> str:
     rough = "smooth" if material.transparent else f"{material.roughness:g}"
     if material.film is not None:
         rough += f", film {material.film:g}"
+    if material.diffuse > 0:
+        rough += f", diffuse {material.diffuse:g}"
+    if material.mottle > 0:
+        rough += f", mottle {material.mottle:g} over {1e3 * material.mottle_length_m:g} mm"
     numbers = f"{material.metallic:g} | {rough} | {grooves}"
     density = f"{preset.density_kg_m3:g}"
-    return f"| {_anchor(name)}`{name}` | {color} | {numbers} | {density} | {preset.source} |\n"
+    source = preset.source
+    if preset.surface != OUR_CHOICE:
+        source += f"; surface: {preset.surface}"
+    return f"| {_anchor(name)}`{name}` | {color} | {numbers} | {density} | {source} |\n"
 
 
 def _glossary() -> Iterator[str]:

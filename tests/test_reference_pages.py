@@ -85,11 +85,17 @@ def test_every_material_has_a_row_with_its_numbers(reference):
         assert tuple(map(float, color.split())) == material.base_color
         assert float(metallic) == material.metallic
         film = "" if material.film is None else f", film {material.film:g}"
-        assert roughness == ("smooth" if material.transparent else f"{material.roughness:g}{film}")
+        rough, *finish = roughness.split(", diffuse ")
+        assert rough == ("smooth" if material.transparent else f"{material.roughness:g}{film}")
+        numbers = [float(n) for n in re.findall(r"[\d.]+", "".join(finish))]
+        stated = [material.diffuse, material.mottle, 1e3 * material.mottle_length_m]
+        assert numbers == (pytest.approx(stated) if material.diffuse else [])
         assert float(grooves.removesuffix(", turned") or 0) == material.anisotropy
         turned = material.grain is not None and material.grain.turned
         assert grooves.endswith("turned") == turned
-        assert (float(density), source) == (preset.density_kg_m3, preset.source)
+        color_source, _, surface = source.partition("; surface: ")
+        assert (float(density), color_source) == (preset.density_kg_m3, preset.source)
+        assert (surface or "our choice") == preset.surface
 
 
 def test_every_reason_and_every_setting_of_a_scanner_has_its_line_in_the_glossary(reference):

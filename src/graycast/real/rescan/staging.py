@@ -27,7 +27,7 @@ from ...rig.meshdepth import rasterize
 from ...rig.optics import Optics
 from ...world.parts import Material, Part
 from ...world.scene import Lamp, Layout, Scene
-from ..depth_solid import STEP_M, Rounds, from_nearest, solid_of, surfaces
+from ..depth_solid import STEP_M, Rounds, from_nearest, smooth_slopes, solid_of, surfaces
 from .source import SourceImage
 
 BACKGROUND = "background"
@@ -207,13 +207,15 @@ def _background(
     else:  # the objects fill the picture: a wall far behind them stops the light
         depth_m = np.where(own, 2 * np.nanmax(nearest_m), depth_m)
     solid = np.isfinite(depth_m)
-    planes = surfaces(depth_m, solid, _rounds(image.step_m))
+    rounds = _rounds(image.step_m)
+    planes = surfaces(depth_m, solid, rounds)
     pixel_m = float(np.nanmedian(depth_m)) / image.camera.fx_px
     mesh = solid_of(
         planes,
         ndimage.maximum_filter(np.where(solid, depth_m, 0.0), _AROUND_PX),
         image.camera,
         step_m=max(STEP_M, _SLOPE * pixel_m),
+        shading=smooth_slopes(depth_m, solid, rounds),
     )
     if material is None:
         material = _GREY

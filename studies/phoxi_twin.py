@@ -123,16 +123,16 @@ def configuration(meshes: Path, shapes: int) -> dict:
     rng = np.random.default_rng(0)
     parts = []
     for file in sorted((DATA / "meshes" / "kit").glob("*.stl")):
-        parts.append(_part(file, "m", rng))
+        parts.append(painted_part(file, "m", rng))
     for name, factor in FAMILIES.items():
         mesh = zoo_part(name).mesh
         file = meshes / f"{name}.stl"
         trimesh.Trimesh(mesh.vertices_m * factor, mesh.faces, process=False).export(file)
-        parts.append(_part(file, "m", rng))
+        parts.append(painted_part(file, "m", rng))
     for seed in range(shapes):
         file = meshes / f"shape_{seed:02d}.stl"
         random_shape(seed).export(file)
-        parts.append(_part(file, "m", rng))
+        parts.append(painted_part(file, "m", rng))
     for name in ("hygiene_spray", "toothpaste", "metal_workpiece_1", "metal_workpiece_2"):
         parts.append({"builtin": name})
     return {
@@ -222,7 +222,8 @@ def every_second_pixel(known: Scanner) -> Scanner:
     return replace(known, rig=replace(known.rig, name="phoxi-cell", camera=camera))
 
 
-def _part(file: Path, unit: str, rng: np.random.Generator) -> dict:
+def painted_part(file: Path, unit: str, rng: np.random.Generator) -> dict:
+    """Return the settings of a part with a random colour and roughness."""
     color = [round(float(c), 3) for c in rng.uniform(0.02, 0.8, 3)]
     return {
         "mesh": str(file),
@@ -299,12 +300,13 @@ RESCANNED = {
 }
 
 
-def _refuse_without_data() -> None:
+def refuse_without_data() -> None:
+    """End the program if the scans and meshes are missing."""
     needed = (REAL / "bin.obj", REAL / "instances_draft.json", DATA / "meshes" / "kit")
     missing = [str(path) for path in needed if not path.exists()]
     if missing:
         raise SystemExit(
-            f"phoxi_twin: {missing[0]} is missing: put the scans and meshes, which are no part of "
+            f"{missing[0]} is missing: put the scans and meshes, which are no part of "
             "the project, into ../shared/data beside the repository"
         )
 
@@ -326,7 +328,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     out = arguments.out
-    _refuse_without_data()
+    refuse_without_data()
     meshes = (out / "meshes").absolute()
     meshes.mkdir(parents=True, exist_ok=True)
     save_scanner(scanner(), out / "rig.yaml")

@@ -11,6 +11,7 @@ Each imports only from those above it:
     realism        what real depth has and perfect depth lacks, in figures
     fit_bin        pose, colours and light of a real bin
     import_real    real pictures with labels, as a dataset
+    material       base colour, roughness and kind of a surface from one scan
     rescan         scanner depth for the perfect depth of datasets that others made
     twin           a scanner whose simulated scans have the statistics of real ones
 """

@@ -8,6 +8,7 @@ imports only from those above it:
     sight      intersections of rays with the scene, through glass
     projector  the projector as a light
     scene      a scene in Mitsuba: materials, meshes, lights
+    lobe       the light that a material reflects between two directions
     stage      the data that all light paths through a scene share
     caustics   light paths from the projector over shiny surfaces: caustics
     truth      depth, normals and silhouettes at pixel centres

@@ -106,6 +106,11 @@ def _is_shiny(material: Material) -> bool:
     return films or normal / (4 * material.smoothest**4) > 1
 
 
+def load_bsdf(material: Material) -> mi.BSDF:
+    """Return a material as a Mitsuba BSDF, without a shape."""
+    return mi.load_dict(_bsdf(material))
+
+
 def _bsdf(material: Material) -> dict[str, object]:
     """Return a material as Mitsuba BSDFs; see docs/explanation/light.md, "Materials"."""
     if material.transparent is not None:

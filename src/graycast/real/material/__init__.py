@@ -1,0 +1,29 @@
+"""The surface of real parts from one scan: base colour, metal or plastic, and roughness.
+
+normals         smooth normals of a depth map
+observing       directions and direct light of each pixel
+scan            the observations of a stack of pictures
+surface_model   the light that the renderer's BSDF predicts, and its likelihood
+fitting         the fit of kind, base colour and roughness, with intervals
+material_files  the material as YAML, its summary and its plot
+"""
+
+from .fitting import FittedValue, MaterialFit, fit_material, scale_of
+from .material_files import describe_fit, draw_fit, material_text
+from .observing import Reflections, observe
+from .scan import MaterialScan, open_scan, read_masks
+
+__all__ = [
+    "FittedValue",
+    "MaterialFit",
+    "MaterialScan",
+    "Reflections",
+    "describe_fit",
+    "draw_fit",
+    "fit_material",
+    "material_text",
+    "observe",
+    "open_scan",
+    "read_masks",
+    "scale_of",
+]

@@ -1,0 +1,108 @@
+"""A fitted material as YAML for a configuration, as printed lines, and as a plot."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ...base.plotting import ACCENT, SECOND, SOFT, caption, legend_below, plain_figure, save_png
+from .fitting import WIDE, FittedValue, MaterialFit
+from .observing import Reflections
+from .surface_model import mean_light
+
+CERTAIN_LEAD = 5.0  # A smaller difference of log likelihoods does not determine the kind.
+SPAN = 0.5  # A wider interval of the base colour is no result.
+MOST_POINTS = 4000
+BINS = 24
+
+
+def describe_fit(fit: MaterialFit) -> list[str]:
+    """Return the lines that tell a person the result and what the scan does not determine."""
+    low, high = (math.degrees(angle) for angle in fit.angles_rad)
+    lines = [
+        f"{fit.pixels} pixels at half angles from {low:.0f} to {high:.0f} degrees",
+        f"kind           {fit.kind}" + _doubt(fit),
+        f"roughness      {_number(fit.roughness, WIDE)}",
+        f"base colour    {_number(fit.color, SPAN)}, at the projector's wavelength",
+        f"scatter        {fit.scatter:.1%} of the light of single pixels",
+    ]
+    if fit.roughness.high - fit.roughness.low > WIDE:
+        lines.append(
+            f"note: roughness is not determined: all half angles are from {low:.0f} to {high:.0f} "
+            "degrees; scan parts that lie in more directions"
+        )
+    if not fit.known:
+        lines.append(
+            "note: the intensity of the projector is unknown, so base colour and kind follow only "
+            "from the shape of the highlight: mark a matt white sheet with --white"
+        )
+    return lines
+
+
+def material_text(fit: MaterialFit, source: str) -> str:
+    """Return the material as a section of a configuration, with intervals as comments."""
+    lines = [
+        f"# Fitted to {source}: {fit.pixels} pixels.",
+        "# Intervals hold 95 %. Copy these keys to material: of a part in cell.yaml.",
+    ]
+    color = f"[{', '.join([f'{fit.color.value:.3f}'] * 3)}]"
+    lines += _line("base_color", color, fit.color, SPAN, "at the projector's wavelength")
+    lines.append(f"metallic: {float(fit.kind == 'metal')}{_comment(_doubt(fit))}")
+    rough = f"{fit.roughness.value:.3f}"
+    lines += _line("roughness", rough, fit.roughness, WIDE, "")
+    lines.append("specular: 0.5  # assumed: a coat of refractive index 1.5; metal has no coat")
+    lines.append(f"# The light of single pixels scatters by {fit.scatter:.1%} about this material.")
+    return "\n".join(lines) + "\n"
+
+
+def draw_fit(fit: MaterialFit, observations: Reflections, path: Path) -> None:
+    """Draw measured and fitted light over the half angle, as a PNG."""
+    count = len(observations)
+    every = max(1, count // MOST_POINTS)
+    some = observations.part(np.arange(0, count, every))
+    angle = np.degrees(some.half_angle_rad)
+    measured = some.light / fit.scale
+    fitted = mean_light(some, fit.material)
+    figure, (ax,) = plain_figure(6.0, 4.2, [1])
+    ax.semilogy(angle, measured, ".", color=SOFT, ms=2, label="measured pixels")
+    edge = np.linspace(angle.min(), angle.max() + 1e-6, BINS + 1)
+    place = np.digitize(angle, edge) - 1
+    full = [b for b in range(BINS) if (place == b).sum() >= 5]
+    middle = [(edge[b] + edge[b + 1]) / 2 for b in full]
+    for values, color, marker, label in (
+        (measured, ACCENT, "o-", "measured, median"),
+        (fitted, SECOND, "s--", "fitted, median"),
+    ):
+        median = [float(np.median(values[place == b])) for b in full]
+        ax.semilogy(middle, median, marker, color=color, ms=4, lw=1.2, label=label)
+    unit = "reflectance f cos [1/sr]" if fit.known else "reflectance f cos, in an unknown unit"
+    rough = f"roughness {fit.roughness.value:.2f}, base colour {fit.color.value:.2f}"
+    caption(ax, f"{fit.kind}: {rough}", "half angle [degrees]", unit)
+    legend_below(ax, columns=3)
+    save_png(figure, path, dpi=110)
+
+
+def _doubt(fit: MaterialFit) -> str:
+    if fit.lead >= CERTAIN_LEAD:
+        return ""
+    other = "plastic" if fit.kind == "metal" else "metal"
+    return f" (not determined: {other} explains the light as well)"
+
+
+def _number(interval: FittedValue, widest: float) -> str:
+    span = f"{interval.low:.3f} to {interval.high:.3f}"
+    if interval.high - interval.low > widest:
+        return f"not determined ({span})"
+    return f"{interval.value:.3f} ({span})"
+
+
+def _line(key: str, text: str, interval: FittedValue, widest: float, more: str) -> list[str]:
+    """Return a key with its interval, as a comment alone if the scan does not determine it."""
+    span = f"{interval.low:.3f} to {interval.high:.3f}"
+    if interval.high - interval.low > widest:
+        return [f"# {key} is not determined by this scan: {span}."]
+    return [f"{key}: {text}{_comment(', '.join(filter(None, (span, more))))}"]
+
+
+def _comment(text: str) -> str:
+    return f"  # {text.strip()}" if text else ""

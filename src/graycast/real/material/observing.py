@@ -1,0 +1,130 @@
+"""The reflection that one scan observes: geometry and the projector's direct light per pixel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...base.frames import transform_points
+from ...camera.decode import CodeMap, Levels, Mark, Reason
+from ...rig.optics import (
+    Optics,
+    corner_share,
+    in_picture,
+    mask_points,
+    project,
+    relative_illumination,
+)
+from ...rig.pair import Rig
+from .normals import smooth_normals
+
+LEAST_COSINE = 0.17  # Surfaces that camera or projector see at more than 80 degrees are left out.
+SURE_SIGMAS = 5.0  # Darker pixels are left out.
+MOST_NORMAL_SIGMA_RAD = 0.05  # Pixels with a less certain normal are left out.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reflections:
+    """Pixels of one surface: their directions, and their light without distance and vignetting.
+
+    `light` is proportional to `f cos(theta)`, with the BSDF f and the angle between normal and
+    projector. Where `clipped`, a picture is saturated, and the true light is at least `light`.
+    """
+
+    normal: Float[np.ndarray, "n 3"]
+    to_camera: Float[np.ndarray, "n 3"]
+    to_projector: Float[np.ndarray, "n 3"]
+    light: Float[np.ndarray, " n"]
+    sigma: Float[np.ndarray, " n"]
+    clipped: Bool[np.ndarray, " n"]
+    normal_sigma_rad: Float[np.ndarray, " n"]
+    area_px: Float[np.ndarray, " n"]  # The number of pixels that determine the normal
+
+    def __len__(self) -> int:
+        return len(self.light)
+
+    @property
+    def half_angle_rad(self) -> Float[np.ndarray, " n"]:
+        """The angle between the normal and the middle of both directions."""
+        half = self.to_camera + self.to_projector
+        half /= np.linalg.norm(half, axis=-1, keepdims=True)
+        return np.arccos(np.clip((half * self.normal).sum(axis=-1), -1, 1))
+
+    @property
+    def light_cosine(self) -> Float[np.ndarray, " n"]:
+        return (self.normal * self.to_projector).sum(axis=-1)
+
+    def part(self, index: np.ndarray) -> "Reflections":
+        """Return the pixels of an index or a mask."""
+        return Reflections(**{name: getattr(self, name)[index] for name in self.__slots__})
+
+
+def observe(
+    rig: Rig,
+    codes: CodeMap,
+    depth_m: Float[np.ndarray, "h w"],
+    direct: Float[np.ndarray, "h w"],
+    levels: Levels,
+    *,
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    exposure: Float[np.ndarray, "h w"] | float = 1.0,
+) -> Reflections:
+    """Return the observations of the decoded pixels in a mask.
+
+    Args:
+        depth_m: depth of each pixel; NaN without one.
+        direct: the projector's direct light under a white picture [DN above offset]. It excludes
+            light that is reflected repeatedly, except where that light has stripes itself, as in
+            mirrors (see `camera.decode.separate`).
+        mask: the pixels of one surface; None is all pixels.
+        exposure: the exposure of each pixel in units of a common one.
+    """
+    direct, shape = direct.astype(np.float64), direct.shape
+    inside = np.ones(shape, dtype=bool) if mask is None else mask
+    normals = smooth_normals(rig.camera, depth_m, inside)
+    noise = np.sqrt(2 * (levels.floor_dn2 + levels.slope_dn * np.maximum(direct, 0)))
+    keep = inside & np.isfinite(normals.sigma_rad) & (codes.reason == Reason.DECODED)
+    keep &= (normals.sigma_rad <= MOST_NORMAL_SIGMA_RAD) & (direct > SURE_SIGMAS * noise)
+    point_m = mask_points(rig.camera, depth_m, keep)
+    factor = np.broadcast_to(exposure, shape)[keep] * relative_illumination(rig.camera)[keep]
+    factor = factor * _irradiance(rig, point_m)
+    mark = codes.mark
+    clipped = np.zeros(shape, dtype=bool) if mark is None else (mark & Mark.CLIPPED) > 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        observations = Reflections(
+            normal=normals.normal[keep],
+            to_camera=_unit(-point_m),
+            to_projector=_unit(rig.T_cam_proj[:3, 3] - point_m),
+            light=direct[keep] / factor,
+            sigma=noise[keep] / factor,
+            clipped=clipped[keep],
+            normal_sigma_rad=normals.sigma_rad[keep],
+            area_px=normals.area_px[keep],
+        )
+    facing = (observations.normal * observations.to_camera).sum(axis=-1)
+    good = (facing > LEAST_COSINE) & (observations.light_cosine > LEAST_COSINE) & (factor > 0)
+    return observations.part(good)
+
+
+def _irradiance(rig: Rig, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Return the projector's relative irradiance on a facing surface; 0 outside its picture."""
+    own_m = transform_points(rig.T_proj_cam, point_m)
+    distance2_m2 = np.square(own_m).sum(axis=-1)
+    share = _projector_share(rig.projector, own_m, np.sqrt(distance2_m2))
+    return share / distance2_m2
+
+
+def _projector_share(
+    projector: Optics, own_m: Float[np.ndarray, "n 3"], distance_m: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    place_px = project(projector, own_m)
+    share = in_picture(projector, place_px).astype(np.float64)
+    if projector.natural_vignetting:
+        share *= own_m[:, 2] / distance_m
+    if projector.falloff:
+        share *= 1 - projector.falloff * np.nan_to_num(corner_share(projector, place_px))
+    return share
+
+
+def _unit(vector: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)

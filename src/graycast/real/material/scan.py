@@ -1,0 +1,141 @@
+"""The observations of a stack of pictures, checked for faults that would spoil a fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...base.errors import ConfigError, GraycastError
+from ...camera.decode import Mark, Reason
+from ...camera.rig_file import load_scanner
+from ...camera.scanner import Scanner
+from ...camera.stack import StackResult, decode_stack, read_description
+from ...dataset.raw import EXPOSURE, read_capture
+from ...dataset.safe_reading import Unreadable, read_mask
+from .observing import Reflections, observe
+
+MOST_SATURATED = 0.3  # A surface of which a larger share is saturated is refused.
+LEAST_MEASURED = 0.3  # A rig with which a smaller share of the decoded pixels has depth is refused.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MaterialScan:
+    """A decoded stack, its scanner, and the relative exposure of its pixels."""
+
+    path: Path
+    result: StackResult
+    scanner: Scanner
+    exposure: Float[np.ndarray, "h w"] | float
+
+    def observations(self, mask: Bool[np.ndarray, "h w"] | None = None) -> Reflections:
+        """Return the observations of the pixels in a mask; None is all pixels.
+
+        Raises:
+            GraycastError: the mask has another size, a large part of the surface is saturated, or
+                the code cannot separate direct light.
+        """
+        codes = self.result.codes
+        shape = codes.reason.shape
+        inside = np.ones(shape, dtype=bool) if mask is None else mask
+        if inside.shape != shape:
+            raise GraycastError(
+                f"a mask has {inside.shape[1]} x {inside.shape[0]} px, and the pictures of "
+                f"{self.path} have {shape[1]} x {shape[0]} px: give masks of the pictures"
+            )
+        saturated = codes.reason == Reason.SATURATED
+        if codes.mark is not None:
+            saturated |= (codes.mark & Mark.CLIPPED) > 0
+        lit = inside & (codes.reason != Reason.SHADOW)
+        share = float(saturated[lit].mean()) if lit.any() else 0.0
+        if share > MOST_SATURATED:
+            raise GraycastError(
+                f"{self.path}: {share:.0%} of the lit pixels of the surface are saturated, which "
+                "hides its highlights: take a shorter exposure"
+            )
+        result = self.result
+        if result.light is None:
+            raise GraycastError(
+                f"{self.path}: the code cannot separate the projector's direct light, which needs "
+                "phases, or narrow stripes with their inverses: scan with such a code"
+            )
+        assert result.depth is not None
+        return observe(
+            self.scanner.rig,
+            codes,
+            result.depth.depth_m,
+            result.light[0],
+            result.levels.levels,
+            mask=mask,
+            exposure=self.exposure,
+        )
+
+
+def open_scan(path: Path, scanner: Scanner | None = None) -> MaterialScan:
+    """Decode a stack for the fit of materials.
+
+    Args:
+        path: a stack file, or a folder that holds a `stack.yaml`, such as `frames` of a scene.
+        scanner: its scanner; None takes the rig that the stack file names.
+
+    Raises:
+        GraycastError: the stack cannot be decoded, or the rig is not that of the stack.
+    """
+    stack = path / "stack.yaml" if path.is_dir() else path
+    if scanner is None:
+        own = read_description(stack).rig
+        if own is None:
+            raise ConfigError(f"{stack}: names no rig, which a material needs: give --rig")
+        scanner = load_scanner(stack.parent / own)
+    result = decode_stack(stack, scanner.rig, filters=scanner.filters)
+    assert result.depth is not None
+    decoded = result.codes.reason == Reason.DECODED
+    share = float(np.isfinite(result.depth.depth_m[decoded]).mean())
+    if share < LEAST_MEASURED:
+        raise GraycastError(
+            f"{stack}: with rig {scanner.rig.name}, only {share:.0%} of the decoded pixels have a "
+            "depth: give the rig of this scan"
+        )
+    return MaterialScan(path=stack, result=result, scanner=scanner, exposure=_exposure(stack))
+
+
+def read_masks(paths: Sequence[Path]) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels that are inside any of some masks of one size.
+
+    Raises:
+        GraycastError: a file is no mask, or the masks differ in size or have no pixel.
+    """
+    union = None
+    for path in paths:
+        try:
+            mask = read_mask(path)
+        except Unreadable as error:
+            raise GraycastError(f"{path}: {error}") from error
+        if union is not None and mask.shape != union.shape:
+            raise GraycastError(f"{path}: has another size than {paths[0]}: give masks of one scan")
+        union = mask if union is None else union | mask
+    if union is None or not union.any():
+        raise GraycastError(f"{paths[0]}: no pixel is inside the mask: mark the surface with 255")
+    return union
+
+
+def _exposure(stack: Path) -> Float[np.ndarray, "h w"] | float:
+    """Return each pixel's exposure relative to the longest; scenes of a dataset may have several.
+
+    Raises:
+        GraycastError: the scene's files are damaged.
+    """
+    if not (stack.parent / EXPOSURE).exists():
+        return 1.0
+    try:
+        raw = read_capture(stack.parent.parent)
+    except Unreadable as error:
+        raise GraycastError(f"{stack.parent.parent}: {error}") from error
+    if raw is None or raw.capture is None:
+        raise GraycastError(
+            f"{stack.parent / EXPOSURE}: the exposure times are in the scene's manifest, which is "
+            "missing: keep the pictures in the folder of their scene"
+        )
+    times_s = np.asarray(raw.capture.exposure_s, dtype=np.float64)
+    return times_s / times_s.max()

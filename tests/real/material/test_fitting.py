@@ -1,0 +1,131 @@
+"""Fits of light that the renderer's own BSDF, or Lambert's law, has made with known numbers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from graycast.base.errors import GraycastError
+from graycast.real.material import fitting
+from graycast.real.material.fitting import fit_material, scale_of
+from graycast.real.material.material_files import describe_fit, draw_fit, material_text
+from graycast.real.material.observing import Reflections
+from graycast.real.material.surface_model import mean_light, surface
+from graycast.world.parts.part_sections import MaterialSection, resolve_material
+
+SCALE = 5000.0
+
+
+def heap(n, *, widest_rad, seed):
+    """Directions of surfaces that lean up to an angle, under a projector at 20 degrees."""
+    rng = np.random.default_rng(seed)
+    lean, turn = widest_rad * np.sqrt(rng.random(n)), 2 * math.pi * rng.random(n)
+    normal = np.stack(
+        [np.sin(lean) * np.cos(turn), np.sin(lean) * np.sin(turn), -np.cos(lean)], axis=-1
+    )
+    camera = np.tile([0.0, 0.0, -1.0], (n, 1))
+    projector = np.tile([math.sin(0.35), 0.0, -math.cos(0.35)], (n, 1))
+    return Reflections(
+        normal=normal,
+        to_camera=camera,
+        to_projector=projector,
+        light=np.ones(n),
+        sigma=np.full(n, 1e-3),
+        clipped=np.zeros(n, dtype=bool),
+        normal_sigma_rad=np.full(n, 0.004),
+        area_px=np.full(n, 10.0),
+    )
+
+
+def lit(pixels, material, *, scatter=0.05, seed=1):
+    """Return the pixels with the light of a material and random relative errors."""
+    rng = np.random.default_rng(seed)
+    light = SCALE * mean_light(pixels, material) * (1 + scatter * rng.normal(size=len(pixels)))
+    changed = {name: getattr(pixels, name) for name in pixels.__slots__} | {"light": light}
+    return Reflections(**changed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "color", "roughness"), [("metal", 0.9, 0.55), ("plastic", 0.3, 0.4)]
+)
+def test_the_fit_returns_kind_color_and_roughness_inside_its_intervals(
+    cpu_device, kind, color, roughness
+):
+    pixels = heap(2000, widest_rad=0.7, seed=3)
+    fit = fit_material(lit(pixels, surface(kind, color, roughness)), scale=SCALE, seed=0)
+    assert fit.kind == kind
+    assert fit.roughness.low <= roughness <= fit.roughness.high
+    assert fit.color.low <= color <= fit.color.high
+    assert fit.roughness.value == pytest.approx(roughness, abs=0.02)
+    assert fit.color.value == pytest.approx(color, rel=0.04)
+    assert fit.scatter == pytest.approx(0.05, abs=0.015)
+
+
+@pytest.mark.slow
+def test_color_of_metal_is_not_determined_without_a_scale(cpu_device, tmp_path):
+    """Twice the light of a projector of unknown intensity is no other metal."""
+    pixels = lit(heap(2000, widest_rad=0.5, seed=3), surface("metal", 0.5, 0.4))
+    fit = fit_material(pixels, scale=None, seed=0)
+    assert fit.roughness.value == pytest.approx(0.4, abs=0.03)
+    text = material_text(fit, "stack.yaml")
+    assert "# base_color is not determined" in text
+    assert any("--white" in line for line in describe_fit(fit))
+    draw_fit(fit, pixels, tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_surface_under_one_angle_has_no_roughness(cpu_device):
+    pixels = lit(heap(800, widest_rad=0.01, seed=3), surface("plastic", 0.5, 0.5))
+    fit = fit_material(pixels, scale=SCALE, seed=0)
+    assert fit.roughness.high - fit.roughness.low > fitting.WIDE
+    assert any("roughness is not determined" in line for line in describe_fit(fit))
+
+
+@pytest.mark.slow
+def test_light_that_follows_no_surface_is_refused(cpu_device):
+    """Light at random, over three orders of magnitude, as through glass."""
+    pixels = heap(800, widest_rad=0.5, seed=3)
+    light = SCALE * np.exp(2 * np.random.default_rng(0).normal(size=800))
+    changed = {name: getattr(pixels, name) for name in pixels.__slots__} | {"light": light}
+    with pytest.raises(GraycastError, match="several materials, glass"):
+        fit_material(Reflections(**changed), scale=SCALE, seed=0)
+
+
+@pytest.mark.slow
+def test_a_polished_metal_without_its_highlight_is_refused(cpu_device):
+    """A lobe of 1 degree, and surfaces whose half angles begin at 6 degrees."""
+    pixels = heap(4000, widest_rad=0.3, seed=3)
+    pixels = pixels.part(pixels.half_angle_rad > 0.105)
+    light = lit(pixels, surface("metal", 0.6, 0.13))
+    with pytest.raises(GraycastError, match="no pixel shows the highlight"):
+        fit_material(light, scale=SCALE, seed=0)
+
+
+def test_too_few_pixels_are_refused():
+    with pytest.raises(GraycastError, match="only 40 pixels have a depth"):
+        fit_material(heap(40, widest_rad=0.5, seed=0), scale=None, seed=0)
+
+
+def test_the_scale_follows_from_a_white_sheet_by_lamberts_law():
+    white = heap(500, widest_rad=0.4, seed=0)
+    light = SCALE * 0.8 / math.pi * white.light_cosine
+    changed = {name: getattr(white, name) for name in white.__slots__} | {"light": light}
+    assert scale_of(Reflections(**changed), 0.8) == pytest.approx(SCALE)
+    with pytest.raises(GraycastError, match="only 50 pixels of the white reference"):
+        scale_of(white.part(np.arange(50)), 0.8)
+
+
+def test_the_text_is_a_material_section_with_the_fitted_numbers(tmp_path):
+    import yaml
+
+    interval = fitting.FittedValue(value=0.4, low=0.38, high=0.43)
+    fit = fitting.MaterialFit(
+        kind="metal", color=interval, roughness=interval, scale=1.0, known=True, scatter=0.05,
+        lead=10.0, pixels=1000, angles_rad=(0.1, 0.5),
+    )  # fmt: skip
+    section = MaterialSection(**yaml.safe_load(material_text(fit, "stack.yaml")))
+    material = resolve_material(section, tmp_path)
+    assert (material.metallic, material.roughness) == (1.0, 0.4)
+    assert material.base_color == (0.4,) * 3

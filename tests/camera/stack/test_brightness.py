@@ -88,3 +88,9 @@ def test_positions_move_by_at_most_the_amount_in_the_warning(name, tmp_path):
     off_px = np.abs(results[1].codes.column - results[0].codes.column)
     off_px = off_px[np.isfinite(view_of(small_rig()).column) & np.isfinite(off_px)]
     assert 0.6 * limit_px < np.quantile(off_px, 0.99) < 1.25 * limit_px
+
+
+def test_a_stack_without_a_lit_pixel_has_no_step_to_compare():
+    """A median of no pixels warned of an empty slice, on the terminal of whoever decoded it."""
+    code = CODES["gray, 12 steps"]
+    assert faults(code, np.full((len(code.frames), 8, 8), 10, np.uint8)) == []

@@ -46,6 +46,8 @@ def brightness_faults(
     """
     index = samples(well)
     index = index[:: max(1, len(index) // MOST)]
+    if len(index) < FEWEST:
+        return
     flat = frames.reshape(len(frames), -1)[:, index].astype(np.float64)
     for steps in full_periods(code, kinds=("phase",)):
         if not exchanged.isdisjoint(steps):

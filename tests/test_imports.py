@@ -176,7 +176,15 @@ def test_no_files_import_each_other_in_a_circle():
 def test_rooms_for_real_scanners_share_only_files():
     """Each task has its own folder; only `twin` may import another one, `realism`."""
     folders = {name[1] for name, _, _ in modules() if name[:1] == ("real",) and name[2:]}
-    assert folders == {"calibrate", "fit_bin", "import_real", "material", "realism", "rescan", "twin"}
+    assert folders == {
+        "calibrate",
+        "fit_bin",
+        "import_real",
+        "material",
+        "realism",
+        "rescan",
+        "twin",
+    }
     known = {"twin": {"twin", "realism"}}
     for name, file, is_folder in modules():
         if name[:1] == ("real",):

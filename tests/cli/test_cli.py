@@ -93,6 +93,7 @@ OPTIONS = {
     "real fit-bin": "views --config --out --rgb --intrinsics --distortion --scale --size "
     "--ray-length --inner --wall --azimuth --floor-reflectance --white --black --cluttered "
     "--pose-only --bend --seed --device",
+    "real material": "stack --rig --resolution --mask --reference --reflectance --out --seed",
     "doctor": "",
     "schema": "kind",
 }
@@ -689,7 +690,7 @@ printf '%s\n' "${COMPREPLY[@]}"
     ("typed", "offered"),
     [
         (["gen"], ["generate"]),
-        (["real", ""], ["compare", "fit-bin", "measure", "twin"]),
+        (["real", ""], ["compare", "fit-bin", "material", "measure", "twin"]),
         (["generate", "--ba"], ["--backend"]),
         (["generate", "--backend", "m"], ["mitsuba"]),
         (["generate", "cell"], ["cell.yaml", "cells"]),

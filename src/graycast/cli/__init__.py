@@ -8,6 +8,7 @@ Each imports only from those above it:
     arguments          the table of the flags that several commands share
     dataset_commands   the group dataset
     detector_commands  the group detector
+    material_command   real material
     real_commands      the group real
     rescan_command     rescan
     parts_command      parts

@@ -1,4 +1,4 @@
-"""Commands of real scans: real measure, compare, twin, fit-bin."""
+"""Commands of real scans: real measure, compare, twin, fit-bin; material_command has material."""
 
 import argparse
 import math
@@ -19,6 +19,7 @@ from .arguments import (
     resolve_config,
 )
 from .bars import open_bars, open_stages
+from .material_command import add_material
 from .readers import above_zero, metres, numbers, positive, reader
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
@@ -94,6 +95,7 @@ def add_commands(commands) -> None:
     add_shared(twin, "--seed", default=0)
     add_device(twin)
     _add_fit_bin(group)
+    add_material(group)
 
 
 def _add_fit_bin(group) -> None:

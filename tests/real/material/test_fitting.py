@@ -70,7 +70,7 @@ def test_color_of_metal_is_not_determined_without_a_scale(cpu_device, tmp_path):
     assert fit.roughness.value == pytest.approx(0.4, abs=0.03)
     text = material_text(fit, "stack.yaml")
     assert "# base_color is not determined" in text
-    assert any("--white" in line for line in describe_fit(fit))
+    assert any("--reference" in line for line in describe_fit(fit))
     draw_fit(fit, pixels, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").stat().st_size > 10_000
 

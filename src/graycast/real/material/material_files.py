@@ -34,7 +34,7 @@ def describe_fit(fit: MaterialFit) -> list[str]:
     if not fit.known:
         lines.append(
             "note: the intensity of the projector is unknown, so base colour and kind follow only "
-            "from the shape of the highlight: mark a matt white sheet with --white"
+            "from the shape of the highlight: mark a matt white sheet with --reference"
         )
     return lines
 

@@ -1,0 +1,85 @@
+"""The command real material: the surface of parts from one scan."""
+
+import argparse
+from pathlib import Path
+
+from ..base.errors import GraycastError
+from .arguments import add_command, add_option, add_out, add_shared, resolve_rig_option
+from .readers import above_zero
+
+# Heavy modules are imported by the command, so that --help answers at once.
+
+MATERIAL = """\
+The surface is metal or plastic, with a base colour and a roughness. The command compares the
+projector's direct light in each pixel with the renderer's own model of surfaces at the directions
+of camera and projector, and states a 95 % interval for each number. It writes the material as a
+YAML file, whose keys fit into the section material of a configuration, and a plot of the measured
+and the fitted light next to it. Metal needs --reference, because its base colour and the intensity
+of the projector change the light in the same way. Grooves, films and glass are not fitted."""
+
+
+def add_material(group) -> None:
+    material = add_command(
+        group, "material", _material, "Fit the material of parts to one scan of them.",
+        example="stack.yaml --rig rig.yaml --mask parts.png --out material.yaml", more=MATERIAL,
+    )  # fmt: skip
+    stack = "The stack file, which describes each picture, or a folder that holds a stack.yaml."
+    add_option(material, "stack", Path, stack)
+    add_shared(material, "--rig", usual="the rig that the stack file names")
+    add_shared(material, "--resolution", usual="low")
+    add_option(
+        material, "--mask", Path,
+        "PNG masks of the pictures' size, 255 where the parts of one material are and 0 elsewhere.",
+        usual="all pixels except those of --reference", nargs="+", metavar="PNG",
+    )  # fmt: skip
+    add_option(
+        material, "--reference", Path,
+        "PNG masks of a matt surface with a known reflectance in the same scan, such as a white "
+        "sheet.", nargs="+", metavar="PNG",
+    )  # fmt: skip
+    add_option(
+        material, "--reflectance", above_zero,
+        "The reflectance of the surface of --reference at the projector's wavelength, from 0 to 1.",
+        metavar="SHARE",
+    )  # fmt: skip
+    add_out(material, "The YAML file to write, which must be new.")
+    add_shared(material, "--seed", default=0)
+
+
+def _material(options: argparse.Namespace) -> None:
+    from ..base.folder import write_whole
+    from ..real.fitted_config import refuse_there
+    from ..real.material import (
+        describe_fit,
+        draw_fit,
+        fit_material,
+        material_text,
+        open_scan,
+        read_masks,
+        scale_of,
+    )
+
+    if (options.reference is None) != (options.reflectance is None):
+        raise GraycastError("--reference and --reflectance belong together: give both or neither")
+    if options.reflectance is not None and options.reflectance > 1:
+        raise GraycastError(f"--reflectance is {options.reflectance:g}: give a share from 0 to 1")
+    if options.rig is None and options.resolution is not None:
+        raise GraycastError("--resolution applies only to a preset: add --rig, or remove it")
+    plot = options.out.with_suffix(".png")
+    refuse_there(options.out, plot)
+    mask = None if options.mask is None else read_masks(options.mask)
+    white = None if options.reference is None else read_masks(options.reference)
+    scan = open_scan(options.stack, None if options.rig is None else resolve_rig_option(options))
+    for warning in scan.result.warnings:
+        print(f"warning: {warning}")
+    scale = None
+    if white is not None:
+        scale = scale_of(scan.observations(white), options.reflectance)
+        mask = ~white if mask is None else mask
+    observations = scan.observations(mask)
+    fit = fit_material(observations, scale=scale, seed=options.seed)
+    print("\n".join(describe_fit(fit)))
+    write_whole(options.out, material_text(fit, options.stack.name).encode())
+    draw_fit(fit, observations, plot)
+    print(options.out)
+    print(plot)

@@ -11,7 +11,7 @@ from graycast.real.material.fitting import fit_material, scale_of
 from graycast.real.material.material_files import describe_fit, draw_fit, material_text
 from graycast.real.material.observing import Reflections
 from graycast.real.material.surface_model import mean_light, surface
-from graycast.world.parts.part_sections import MaterialSection, resolve_material
+from graycast.world.parts.material_section import MaterialSection, resolve_material
 
 SCALE = 5000.0
 

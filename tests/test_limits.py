@@ -29,7 +29,9 @@ SOURCE = ROOT / "src" / "graycast"
 # rays and planes in compiled loops, refuse millimetres, and cut jaws by the whole finger;
 # 200 name two exchanged phase pictures, 60 a camera that moves in half of a stack. Then 2,100 went:
 # checks for forged files, films, RF-DETR, labels and arms as code, and two layouts of exports.
-MOST_LINES = 76_300
+# 1,000 fit a material to a scan, 350 scatter a metal's light and vary its reflectance, and 100 give
+# a staged surface smooth normals.
+MOST_LINES = 77_750
 # These are the words in README.md and the pages of docs that people write. 1,700 came with the
 # sources of the shelf, the age of each page's figures, and the options and errors of these changes;
 # 200 say which faults of a stack are named, and 1,200 how Graycast is installed, what metal needs

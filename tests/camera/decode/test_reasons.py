@@ -558,7 +558,7 @@ def test_a_reason_is_stored_pickled_and_compiled_as_its_number():
 
 def setters_of_reasons():
     """Return the functions, as module.function, that give a pixel each reason but DECODED."""
-    found = defaultdict(set)
+    setters = defaultdict(set)
     camera = Path(__file__).parents[3] / "src/graycast/camera"
     for path in [*camera.glob("decode/*.py"), camera / "stack/believed_depth.py"]:
         for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -575,11 +575,11 @@ def setters_of_reasons():
             for node in ast.walk(function):
                 if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "Reason":
                     if node.attr.isupper() and id(node) not in read:
-                        found[node.attr].add(f"{path.stem}.{function.name}")
+                        setters[node.attr].add(f"{path.stem}.{function.name}")
                 elif isinstance(node, ast.Name) and node.id in Reason.__members__:
-                    found[node.id].add(f"{path.stem}.{function.name}")
-    found.pop("DECODED")
-    return dict(found)
+                    setters[node.id].add(f"{path.stem}.{function.name}")
+    setters.pop("DECODED")
+    return dict(setters)
 
 
 def test_the_docstring_names_the_functions_that_set_each_reason():

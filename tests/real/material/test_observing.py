@@ -50,11 +50,11 @@ def codes_of(depth_m, mark=None):
 def test_light_of_a_matt_ball_is_its_reflectance_times_the_cosine_anywhere(ball):
     """Oracle: Lambert's law and the exact renderer, which shares no code with the division."""
     rig, depth_m, white = ball
-    seen = observe(rig, codes_of(depth_m), depth_m, white, LEVELS)
-    expected = 0.8 / np.pi * rig.intensity_w_sr * seen.light_cosine
-    steep = seen.light_cosine > 0.5
+    observed = observe(rig, codes_of(depth_m), depth_m, white, LEVELS)
+    expected = 0.8 / np.pi * rig.intensity_w_sr * observed.light_cosine
+    steep = observed.light_cosine > 0.5
     assert steep.sum() > 300
-    ratio = seen.light[steep] / expected[steep]
+    ratio = observed.light[steep] / expected[steep]
     assert np.median(ratio) == pytest.approx(1, abs=0.01)
     assert np.abs(np.quantile(ratio, [0.05, 0.95]) - 1).max() < 0.06
 
@@ -74,6 +74,6 @@ def test_a_clipped_pixel_and_a_pixel_outside_the_mask_are_told_apart(ball):
     mark[55:60, 75:85] = Mark.CLIPPED
     mask = np.zeros(white.shape, dtype=bool)
     mask[50:70, 70:90] = True
-    seen = observe(rig, codes_of(depth_m, mark), depth_m, white, LEVELS, mask=mask)
-    assert 0 < len(seen) <= 400
-    assert seen.clipped.sum() == 50
+    observed = observe(rig, codes_of(depth_m, mark), depth_m, white, LEVELS, mask=mask)
+    assert 0 < len(observed) <= 400
+    assert observed.clipped.sum() == 50

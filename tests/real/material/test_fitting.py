@@ -68,6 +68,8 @@ def test_color_of_metal_is_not_determined_without_a_scale(cpu_device, tmp_path):
     pixels = lit(heap(2000, widest_rad=0.5, seed=3), surface("metal", 0.5, 0.4))
     fit = fit_material(pixels, scale=None, seed=0)
     assert fit.roughness.value == pytest.approx(0.4, abs=0.03)
+    ratio = pixels.light / (fit.scale * mean_light(pixels, fit.material))
+    assert np.median(ratio) == pytest.approx(1, abs=0.03), "scale and colour are of one fit"
     text = material_text(fit, "stack.yaml")
     assert "# base_color is not determined" in text
     assert any("--reference" in line for line in describe_fit(fit))

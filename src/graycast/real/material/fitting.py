@@ -286,11 +286,11 @@ def _color_interval(model: SurfaceModel, kind: Kind, curves: Sequence[_Curve]) -
     best = np.interp(dense, roughness, [one.color for one in curves])
     left = np.interp(dense, roughness, [one.score for one in curves]) - (top.score - LIMIT)
     share = np.sqrt(np.clip(left / LIMIT, 0, 1))
-    low = best * (1 - share * (1 - own.low / own.value))
-    high = best * (1 + share * (own.high / own.value - 1))
+    low = best * (1 - share * (1 - own.low / top.color))
+    high = best * (1 + share * (own.high / top.color - 1))
     likely = left >= 0
     return FittedValue(
-        value=own.value,
-        low=min(own.low, float(low[likely].min())),
-        high=min(max(own.high, float(high[likely].max())), 1.0),
+        value=top.color,
+        low=min(own.low, top.color, float(low[likely].min())),
+        high=min(max(own.high, top.color, float(high[likely].max())), 1.0),
     )

@@ -105,6 +105,22 @@ def test_a_polished_metal_without_its_highlight_is_refused(cpu_device):
         fit_material(light, scale=SCALE, seed=0)
 
 
+def test_a_flat_profile_keeps_the_best_color_and_stays_inside_its_limits(monkeypatch):
+    """The plot showed the light of another colour, at a quarter of the measured light."""
+
+    def curve(roughness, color, score):
+        return fitting._Curve(roughness=roughness, score=score, color=color, scale=1.0, scatter=0.1)
+
+    def flat(model, kind, roughness, color):
+        return curve(roughness, color, 0.01 * (0.8 - color))
+
+    monkeypatch.setattr(fitting, "_best_at", flat)
+    curves = [curve(0.3, 0.4, -3.0), curve(0.4, 0.8, 0.0), curve(0.5, 0.3, -3.0)]
+    value = fitting._color_interval(None, "metal", curves)
+    assert value.value == 0.8
+    assert (value.low, value.high) == pytest.approx((0.2, 1.0), abs=0.003)
+
+
 def test_too_few_pixels_are_refused():
     with pytest.raises(GraycastError, match="only 40 pixels have a depth"):
         fit_material(heap(40, widest_rad=0.5, seed=0), scale=None, seed=0)

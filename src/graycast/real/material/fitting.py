@@ -291,6 +291,6 @@ def _color_interval(model: SurfaceModel, kind: Kind, curves: Sequence[_Curve]) -
     likely = left >= 0
     return FittedValue(
         value=top.color,
-        low=min(own.low, top.color, float(low[likely].min())),
+        low=max(min(own.low, top.color, float(low[likely].min())), limits[0]),
         high=min(max(own.high, top.color, float(high[likely].max())), 1.0),
     )

@@ -55,7 +55,8 @@ class MaterialSection(Settings):
     """
 
     preset: PresetName | None = Field(
-        default=None, description="The name of a material, of which the other keys change one each."
+        default=None,
+        description="The name of a preset; each further key replaces one of its properties.",
     )
     base_color: Color | None = Field(
         default=None,
@@ -109,7 +110,6 @@ class MaterialSection(Settings):
         description="A point on the axis of turned, in metres in the frame of the mesh. The "
         "default is its origin.",
     )
-
     diffuse: Share | None = Field(
         default=None,
         description="The share of a metal's light that is scattered in all directions, as by a "

@@ -46,34 +46,32 @@ INTRODUCTION = """\
 `python -m benchmarks materials --resolution {resolution}` wrote this page on {date:.10} at commit
 `{commit}` on {cores} processors ({cpu}).
 
-Twenty brackets lie in a bin at the default distance of each scanner, rendered with 64 paths
-a pixel. A cell has, of the parts' pixels: the share with depth [%]; the share of these [%] that is
-*wrong*, off by more than 1 mm *and* five of its own sigmas; and the median of error over sigma (1
-where sigma is true). The number after *metal* is the roughness. The reflectance of metal is 0.7,
-of *steel* 0.22.
+Twenty brackets lie in a bin at each scanner's default distance, rendered with 64 paths per pixel.
+A cell has three figures for the parts' pixels: the share with depth [%]; the share of this depth
+[%] that is *wrong*, off by more than 1 mm *and* five of its own sigmas; and the median error over
+sigma (1 where sigma is true). The number after *metal* is the roughness. The reflectance is 0.7
+for metal and 0.22 for *steel*.
 
-*Without guards* against light that came by way of another surface, the scanner has no second
-phase, no code of the other axis (for the epipolar check), no least contrast of stripes, no edge
-filter and no line noise. `paper` has plain Gray code and no guards either. The guards were chosen
-with another heap of the part.
+*Without guards* against light from other surfaces, the scanner has no second phase, no code of the
+other axis, no least contrast of stripes, no edge filter and no line noise. `paper` has plain Gray
+code and no guards. The guards were chosen with another heap.
 
 **Conclusion.** Up to {bare:.1f} % of the depths are wrong without guards, at most
 {preset:.1f} % with them. The price is depth, above all of metal."""
 
 EXPOSED = """\
-The preset `{scanner}` with other exposures: multiples of the one that the white frame asks for.
+`{scanner}` with the exposure that the white frame asks for, or with 0.25, 1 and 4 times it.
 
 """
 AROUND = """\
-Of what is no part and at most {pixels} pixels from one: the bin where parts shade it and where
-metal throws the projector's light. A pixel in such a caustic gets two columns, one straight and one
-by the mirror.
+Bin pixels within {pixels} pixels of a part. Parts shade them, and metal reflects the projector's
+light onto them, so that some see light from two columns.
 
 """
 CODES = """\
-The same heap under the rig of `{scanner}`, each code on both axes, the default `decode`, no filter.
-On the smoothest metal `{best.code}` has the fewest wrong depths, {best_wrong:.1f} %, and
-`{worst.code}` the most, {worst_wrong:.1f} %.
+The rig of `{scanner}` with each code on both axes, the default `decode` and no filter. On the
+smoothest metal `{best.code}` has the fewest wrong depths, {best_wrong:.1f} %, and `{worst.code}`
+the most, {worst_wrong:.1f} %.
 
 """
 
@@ -144,7 +142,7 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
     if beside := [row for row in rows if row.place == AROUND_PLACE]:
         near = {key: head for key, head in presets.items() if key[0] in (CODES_OF, "paper")}
         text = AROUND.format(pixels=AROUND_PX)
-        yield "Around the parts", text + _table(beside, near | codes, AROUND_PLACE)
+        yield "Around the parts", text + _table(beside, near, AROUND_PLACE)
 
 
 def _table(

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from graycast.base.color import linear, srgb
+from graycast.real.fit_bin.look import recolored
 from graycast.rendering import Quality
 from graycast.rendering.wavelength import at_one_wavelength, at_projector_wavelength
 from graycast.rig.pair import preset_rig
-from graycast.world.parts import Material
+from graycast.world.parts import Material, material_preset
 from graycast.world.scene import EMPTY_LAYOUT, Bin, Environment, Scene, bin_mesh, bin_surfaces
 
 WALLS = Material(base_color=(0.6, 0.3, 0.1), projector_reflectance=0.5)
@@ -99,3 +100,10 @@ def _rendered(renderer, floor, depth=4):
     nothing = np.zeros((0, rig.projector.height_px, rig.projector.width_px), dtype=np.uint8)
     quality = Quality(samples=16, depth=depth)
     return renderer.render(world, EMPTY_LAYOUT, nothing, quality=quality, seed=3)
+
+
+def test_a_mottled_material_can_take_the_brightest_colour_of_a_fit():
+    """A mottle limits the colour of a material, and a step of the fit once ended with an error."""
+    blasted = material_preset("aluminium-blasted").material
+    white = recolored(blasted, (0.98, 0.98, 0.98))
+    assert (white.base_color, white.diffuse) == ((0.98, 0.98, 0.98), blasted.diffuse)

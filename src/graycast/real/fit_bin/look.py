@@ -141,7 +141,8 @@ def mean_color(material: Material) -> Color:
 
 
 def recolored(material: Material, color: Color) -> Material:
-    return replace(material, base_color=color, texture=None)
+    """Return a material with another colour everywhere; a mottle would limit the colour."""
+    return replace(material, base_color=color, texture=None, mottle=0.0)
 
 
 def _materials(scene: Scene) -> dict[str, Material]:

@@ -168,6 +168,7 @@ def width_px(light):
     return float(np.interp(0.5 * total[-1], total, radius[radius < 38][order]))
 
 
+@pytest.mark.slow
 def test_a_highlight_on_noisy_depth_is_as_wide_as_on_the_true_plane(mitsuba_renderer):
     """The mirror's place is 20 mm to the right of the camera's axis, 40 pixels. Normals that err by
     0.5 degrees (rms) widen a lobe of 1.3 degrees by 4 %, by the sum of squares along each axis.

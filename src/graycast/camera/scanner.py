@@ -264,7 +264,7 @@ def _effective_reflectance(
     speckle is overestimated.
     """
     rig, sensor = scanner.rig, scanner.sensor
-    # Use darkest and brightest frame, because the modulation of thin lines would be too small.
+    # Use the darkest and brightest frames, because the modulation of thin lines would be too small.
     span_dn = capture.frames.max(axis=0).astype(np.float32) - capture.frames.min(axis=0)
     electrons = span_dn / sensor.gain_dn_per_e
     light = electrons / (sensor.responsivity * capture.exposure_s)
@@ -346,7 +346,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     )
 
 
-_LASER_PSF_PX, _DLP_PSF_PX = 1.0, 0.5  # Our choice: a micromirror's pixels have sharper borders.
+_LASER_PSF_PX, _DLP_PSF_PX = 1.0, 0.5  # Our choice: pixels of micromirrors have sharper borders.
 # These follow from the noise on black, white and slopes in five scans (docs/measurements/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
 # In the middle of its range, at 1.51 m, like-phoxi-l then has the temporal noise that the maker

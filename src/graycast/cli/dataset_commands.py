@@ -25,7 +25,7 @@ from .readers import above_zero, export_format, positive, whole
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 _FORMATS = ("coco", "yolo", "bop-webdataset", "parquet", "clouds")
-_OPTIONS = (  # each has its name in the library
+_OPTIONS = (  # Each has the same name in the library.
     "image", "depth", "polygons", "labels", "cloud", "organised", "shard_scenes", "link",
     "pixel_origin", "min_visibility",
 )  # fmt: skip
@@ -288,7 +288,7 @@ def _import(options: argparse.Namespace) -> int:
     if options.like is not None:
         like = open_dataset(options.like)
         names = list(like.categories.values())
-        if rig := like.claim.get("rig"):  # a dataset of real pictures has no statistics
+        if rig := like.claim.get("rig"):  # Datasets of real pictures have no rig.
             range_m = (float(rig["near_m"]), float(rig["far_m"]))
     with open_bars() as bars:
         done = import_real(

@@ -22,8 +22,8 @@ from .scene_folder import SceneFolder
 
 GRASPS, GRASP_CLAIM = "grasps", "grasps.json"
 GRASP_FORMAT = 1
-POSE_MM, POSE_TURN = 1e-6, 1e-9  # Poses are computed in two ways from the same numbers.
-BOX_MM = 1e-3  # A model's PLY stores nine digits.
+POSE_MM, POSE_TURN = 1e-6, 1e-9  # tolerances between two computations of a pose
+BOX_MM = 1e-3  # tolerance: a model's PLY stores nine digits
 
 Reach = Literal["free", "part", "bin", "table", "rig"]
 Ended = Literal["held", "lost seal", "slipped", "not held", "missed", "other part"]

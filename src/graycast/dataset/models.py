@@ -23,7 +23,7 @@ from .records import MM_PER_M, Continuous, ModelInfo
 from .safe_reading import Unreadable, read_json
 
 TEXTURE = "comment TextureFile"  # A model with a texture has this in its header.
-_CHUNK = 2048  # This number of rows of the distance matrix is in memory at a time.
+_CHUNK = 2048  # rows of the distance matrix that are in memory at a time
 
 
 def model_files(parts: tuple[Part, ...]) -> dict[str, bytes]:

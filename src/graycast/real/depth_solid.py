@@ -210,7 +210,7 @@ def _corners(
     order = np.argsort(-value, axis=-1)  # the nearest one first, NaN last
     ordered = np.take_along_axis(value, order, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        apart = np.diff(1 / ordered, axis=-1) > step_m  # NaN is not
+        apart = np.diff(1 / ordered, axis=-1) > step_m  # False for NaN
     group = np.concatenate([np.zeros_like(apart[..., :1]), apart], axis=-1).cumsum(axis=-1)
     some = np.isfinite(ordered)
     name = (4 * np.arange(group[..., 0].size).reshape(group.shape[:2])[..., None] + group)[some]
@@ -344,7 +344,7 @@ def _joined(
     for down in (0, 1):
         for right in (0, 1):
             at_px = np.array([1.0, size * (right - 0.5), size * (down - 0.5)])
-            with np.errstate(invalid="ignore", divide="ignore"):  # NaN is not <
+            with np.errstate(invalid="ignore", divide="ignore"):  # A comparison with NaN is False.
                 off_m = np.abs(1 / four[:, down, :, right, 0] - 1 / (larger @ at_px))
                 joined = joined & (off_m < _FLAT_M)
     return joined, larger

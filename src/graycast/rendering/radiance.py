@@ -195,7 +195,7 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Release all resources; closing again does nothing."""
-        return  # With a body, type checkers do not take the method for abstract.
+        return  # Without a body, type checkers would take it for an abstract method.
 
     def __enter__(self) -> "Renderer":
         return self

@@ -13,14 +13,14 @@ from ...base.errors import DecodeError
 from ...rig.pattern import AXES, Axis, Code, Frame
 
 NO_FRAME = -1
-# A cell of a Gray code is at most this share of the length over which phases are unique: half of
-# the rest is the margin for errors at each edge of a cell.
+# A Gray code's cell has at most this share of the length over which phases are unique. The rest is
+# a margin for errors, half of it at each edge of the cell.
 MAX_CELL = 0.75
 # A position may be outside the Gray code's cell by this share of the length of unique phases.
 OFF_CELL = 0.125
 SAME_PERIODS = 0.002  # Tolerance [periods] for a common repetition of periods of rounded length.
 # Phases have errors in addition to noise: with three steps and a non-linear projector they reach
-# some tenths of a radian, which matters if the phases of two positions differ that little.
+# some tenths of a radian, which matters if the phases of two positions differ by so little.
 MODEL_RAD = 0.05
 # If Gray bits leave few positions, the error may be this share of their difference in phase: three
 # times this error is just half of the way to the point where the next position fits better.
@@ -184,7 +184,7 @@ def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> 
                 )
             base = numbers.index(frame.xor_bit)
         counts = int(number - numbers[-1] >= fine_bits or frame.xor_bit >= 0)
-        if number in bases:  # If it is misread, all bits that are combined with it are wrong.
+        if number in bases:  # If this bit is misread, all bits combined with it are wrong.
             counts = 2
         bits.append(Bit(frame=k, inverse=inverse.get(number, NO_FRAME), xor=base, counts=counts))
     return tuple(bits)

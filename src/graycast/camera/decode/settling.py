@@ -21,7 +21,7 @@ MIN_NEIGHBOURS = 8
 # a third of them may see another surface.
 MAX_AGAINST = 0.34
 PASSES = 8  # Pixels that one pass settles have a vote in the next pass.
-AGAINST_SHARE = 0.25  # With more votes against a period than this share of those for it: open.
+AGAINST_SHARE = 0.25  # A period with more votes against it, as a share of those for it, stays open.
 
 
 class Pixels(NamedTuple):

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from ...rig.pattern import Axis, Code
 from ..decode.plan import AxisPlan
 
-MENDED_OF = 30_000  # The number of pairs on which changes of the order are tried.
+MENDED_OF = 30_000  # Changes of the order are tried on this many pairs.
 # Neighbours are far apart if they differ by this distance, and by this many Gray values.
 FAR_PX, FAR_VALUES = 8.0, 1.5
-# A share above TORN of distant neighbours is a fault; a remedy leaves less than FEWER of them.
+# Above the share TORN, distant neighbours are a fault; a remedy leaves less than FEWER of them.
 TORN, FEWER = 2e-3, 0.5
 LEAST = 50  # Fewer pairs are no evidence.
 
@@ -50,7 +50,7 @@ def far_share(pairs_px: Float[np.ndarray, "n 2"], plan: AxisPlan) -> float:
 
 def _mended(pairs_px, code: Code, plan: AxisPlan, far: float) -> tuple[str, float] | None:
     """Return a text for the change of the bits that removes most jumps, and the remaining share."""
-    if plan.periods:  # Use only pairs at an edge of a Gray value, which are few of all pairs.
+    if plan.periods:  # Use only the few pairs that are at an edge of a Gray value.
         pairs_px = pairs_px[pairs_px[:, 0] != pairs_px[:, 1]]
     if len(pairs_px) < LEAST or far_share(pairs_px, plan) < TORN:
         return None

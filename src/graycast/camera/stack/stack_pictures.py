@@ -141,7 +141,7 @@ def _grey(picture: Image.Image, content: bytes, file: Path) -> Picture:
             return _from_int32(np.asarray(picture), file)
         case "F":
             raise DecodeError(f"{file}: holds floating-point numbers: save 8 or 16 bits a pixel")
-    # Pillow reduces 16-bit colour to 8 bits, but OpenCV does not. Both use weights of Rec. 601.
+    # Pillow reduces 16-bit colour to 8 bits, but OpenCV does not. Both use the weights of Rec. 601.
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     grey = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags)
     if grey is None:

@@ -12,7 +12,7 @@ from ...world.scene import Scene, bin_of
 from .domain_sections import AdaptedSection, RandomizedSection
 from .vary import moved_rig
 
-_AZIMUTHS = 37  # In a whole turn, steps of 10 degrees cost up to 0.4 % of the bin's half size.
+_AZIMUTHS = 37  # Over a whole turn, steps of 10 degrees miss up to 0.4 % of the bin's half size.
 
 
 def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) -> float:
@@ -58,7 +58,7 @@ def _within_tolerances(
         for turn_deg in np.linspace(-rotation_deg, rotation_deg, _AZIMUTHS)
     ]
     in_cam_m = transform_points(inverse(scene.T_world_cam), np.concatenate(turned))
-    aside_m = np.linalg.norm(in_cam_m[:, :2], axis=1).max()  # moves z under a small turn
+    aside_m = np.linalg.norm(in_cam_m[:, :2], axis=1).max()  # change of z per radian of tilt
     tilted_rad = math.radians(section.camera.rotation_deg) * math.sqrt(3)
     moved_m = section.camera.position_m * math.sqrt(3) + section.bin.position_m * math.sqrt(2)
     return float(in_cam_m[:, 2].max() + moved_m + tilted_rad * aside_m)

@@ -51,7 +51,7 @@ class ClassFigures:
     name: str
     scenes: int
     instances: int
-    visible: int  # Those that show at least 10 % count, as in scores of detectors.
+    visible: int  # instances of which at least 10 % is visible, as in scores of detectors
     visib_fract: Int[np.ndarray, " bins"]  # a histogram from 0 to 1
     side_px: Int[np.ndarray, " sides"]  # the root of the visible area, in bins of SIDE_EDGES_PX
     box_px: Int[np.ndarray, " sides"]  # the longer side of the visible box
@@ -78,12 +78,12 @@ class Statistics:
     sizes_px: dict[tuple[int, int], int]  # (width, height): number of scenes
     depth_scale_mm: float  # Histograms of errors have this step.
     classes: tuple[ClassFigures, ...]
-    areas: dict[str, int]  # COCO's small, medium and large: visible instances
+    areas: dict[str, int]  # COCO's class of area: number of visible instances
     instances: dict[int, int]  # instances in a scene: number of scenes
     depth_bin: dict[int, int]
     reason: dict[str, float]  # reason: share of all pixels
     part_reason: dict[str, float]  # reason: share of the parts' visible pixels, if there are any
-    decoded_share: Int[np.ndarray, " bins"]  # It counts pictures by the decoded share of parts.
+    decoded_share: Int[np.ndarray, " bins"]  # number of pictures by the parts' decoded share
     error_step: dict[int, int]
     part_error_step: dict[int, int]
     error: ErrorFigures
@@ -112,7 +112,7 @@ class _Sums:
     pictures: int = 0
     pixels: int = 0
     scale_mm: float = 0.0
-    last: tuple[str, int] | None = None  # This is the scene of the last picture.
+    last: tuple[str, int] | None = None  # the scene of the last picture
 
 
 def dataset_statistics(

@@ -18,7 +18,7 @@ from ...rig.optics import (
 from ...rig.pair import Rig
 from .normals import smooth_normals
 
-LEAST_COSINE = 0.17  # Surfaces that camera or projector see at more than 80 degrees are left out.
+LEAST_COSINE = 0.17  # Surfaces that either device sees at more than 80 degrees are left out.
 SURE_SIGMAS = 5.0  # Darker pixels are left out.
 MOST_NORMAL_SIGMA_RAD = 0.05  # Pixels with a less certain normal are left out.
 

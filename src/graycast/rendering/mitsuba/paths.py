@@ -69,7 +69,7 @@ class Paths:
     # Per axis: difference of indirect light under the finest pattern from its mean, and squares.
     stray: dict[Axis, mi.Float]
     stray2: dict[Axis, mi.Float]
-    odds: mi.Float  # Odds that a path from the projector, and not this kind, finds the path
+    odds: mi.Float  # Odds that a path from the projector finds this path instead
     passed: mi.UInt32 | None = None  # Number of passages through solid glass; None without glass
 
     def add(self, caustics: Caustics) -> None:
@@ -155,7 +155,7 @@ class Tracer:
         samples = self.quality.samples
         if on_pass is None:
             return self._until(paths, samples)
-        dr.make_opaque(paths)  # The same state as after a pass, so all passes use one kernel.
+        dr.make_opaque(paths)  # Now the state is as after a pass, so all passes use one kernel.
         each = max(1, PASS_SAMPLES // pixels)
         for done in [*range(each, samples, each), samples]:
             paths = self._until(paths, dr.opaque(mi.UInt32, done))

@@ -18,13 +18,13 @@ from .pairs import votes
 from .trying import PoseTrial, Trials
 
 WINDOW = 0.035  # A window of normals has this half width, as a share of the diameter.
-REACH = 0.75  # The search looks at this share of the diameter around a detection.
+REACH = 0.75  # The search uses depth up to this share of the diameter around a detection.
 LEAST_POINTS = 30  # A detection must have this many points with normals.
 SCENE_POINTS = 220  # At least this many points of a detection form pairs, at most 4 times as many.
 REFERENCES = 90  # This many of these points are references, which vote for poses.
 CORE = 0.6  # Reference points come from this inner share of a box, about its middle.
 PEAKS = 6  # Each reference point gives this many poses.
-ALIKE = 0.15  # Poses with key points within this share of the diameter are one.
+ALIKE = 0.15  # Poses with key points within this share of the diameter count as one.
 GUESSES = 200  # number of poses that ICP fits to the depth and that are rendered
 ALIGNED = 16  # number of poses that are aligned to outlines
 GATES = (0.12, 0.06, 0.03)  # Each gate of ICP is a share of the diameter, and has `ROUNDS` rounds.

@@ -21,10 +21,10 @@ from .looking import ViewAgreement, look
 from .view import MeasuredView, Points, points_of
 from .view_poses import pose_doubts
 
-# Beside a dataset's reasons, these say why the first view has no such point: it measured something
-# behind the place, or before it; the place is not in its picture.
+# Reasons in addition to a dataset's: the first view has no such point, as it measured something
+# behind the place or in front of it, or as the place is outside its picture.
 THROUGH, HIDDEN, OUTSIDE = 253, 254, 255
-MOST = 250  # Most views of a merge: their numbers have eight bits.
+MOST = 250  # the most views in a merge, because view numbers have eight bits
 
 
 @final

@@ -30,9 +30,9 @@ POINTS = 4000  # Number of points of a view that are looked up in another.
 LEAST_POINTS = 200  # A verdict needs this many points on planes that both views measure.
 # In each step, a point may deviate by this share of the depth and by 4 sigma.
 GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)
-ALIGNED = 0.7  # Normals of one surface have a larger cosine.
-DETERMINED = 1e-4  # A direction with a smaller standard deviation (of the depth) is determined.
-OFF = 4e-4  # A larger motion (of the depth) is no bias; correct simulated views reach 1e-4.
+ALIGNED = 0.7  # Two normals of one surface have a larger cosine between them.
+DETERMINED = 1e-4  # largest standard deviation of a determined direction, as a share of depth
+OFF = 4e-4  # largest motion of views that agree, as a share of depth; simulated ones reach 1e-4
 LEAST_SHARE = 0.3  # least share of common points of two correct views on one surface
 
 

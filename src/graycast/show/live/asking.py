@@ -13,10 +13,10 @@ class Ask:
 
     number: int
     config: Config
-    unturned: Config  # the same with ambient light and projector power of the file
+    unturned: Config  # the same, but with the file's ambient light and projector power
     ambient: float
     power: float
-    frame: int  # This is the index of the captured frame to show.
+    frame: int  # index of the captured frame to show
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

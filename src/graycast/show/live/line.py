@@ -37,7 +37,7 @@ from .asking import Answer, Ask
 from .showing import PageContent, picture_answer, world_answer, world_key
 
 FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "faults", "store", "scenes")
-ROUGH = (1, 4)  # Rough pictures have these samples per pixel.
+ROUGH = (1, 4)  # numbers of samples per pixel of the rough pictures
 
 Emit = Callable[[Answer], None]
 
@@ -55,7 +55,7 @@ class LightState:
     ambient: float
     power: float
     quality: Quality
-    final: bool  # It has as many samples as configured.
+    final: bool  # whether it has all configured samples
     rendering: Rendering
 
 

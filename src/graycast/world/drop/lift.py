@@ -22,7 +22,7 @@ from .body import Body, Kinds, Poses
 from .rapier import RapierPart, Terms, open_heap
 
 Vector3 = Float[np.ndarray, "3"]
-_Motion = tuple[Float[np.ndarray, "4 4"], Vector3, Vector3]  # pose, velocity, turning, in the world
+_Motion = tuple[Float[np.ndarray, "4 4"], Vector3, Vector3]  # world pose, velocity and turning rate
 # Springs are stiff enough to keep a path and soft enough for the step: at most these shares of
 # what one step can follow.
 MOST_STIFFNESS, MOST_DAMPING = 0.1, 0.5

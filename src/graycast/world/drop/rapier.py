@@ -70,7 +70,7 @@ class RapierPart:
         still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         compound = rapier3d.SharedShape.compound
         moments, axes = np.linalg.eigh(body.inertia_kg_m2 * SCALE**2)
-        axes[:, 2] *= np.linalg.det(axes)  # This makes it a rotation and no reflection.
+        axes[:, 2] *= np.linalg.det(axes)  # so that it is a rotation, not a reflection
         return RapierPart(
             shape=hulls[0] if len(hulls) == 1 else compound([(still, hull) for hull in hulls]),
             mass=rapier3d.MassProperties(
@@ -141,16 +141,16 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     settings = world.integration_parameters
     settings.dt = terms.step_s
     settings.num_solver_iterations = 8
-    # Continuous detection against fixed bodies computes every hull's mass properties again at
-    # every step, two thirds of all time. No part that moves 4 mm a step gets through `WALL_M`.
+    # Continuous detection against fixed bodies would take two thirds of the time, because it
+    # computes every hull's mass properties at every step. At 4 mm a step no part crosses `WALL_M`.
     settings.max_ccd_substeps = 0
-    # Clustering chooses among the contact points of a compound's hulls at every step: four
-    # times as fast, but a part on three points rocks from two of them to another two for ever, as
-    # bolts and tubes did. So parts fall with it and come to rest without it.
+    # Clustering selects some of a compound's contact points at every step. It is four times as
+    # fast, but a part on three points rocks from one pair of them to another for ever, as bolts
+    # and tubes did. So parts fall with it and come to rest without it.
     settings.contact_clustering = terms.clustered
     settings.normalized_prediction_distance = 0.01
-    # The engine's own, cheaper model of friction also resists spin about a contact, as no point
-    # does: in a heap of bottles it held six of ten that another engine saw roll away.
+    # The engine's own, cheaper model of friction also resists spin about a contact, which a point
+    # cannot: in a heap it stopped six of ten bottles that roll away in another engine.
     settings.friction_model = rapier3d.FrictionModel.COULOMB
     settings.contact_softness = rapier3d.SpringCoefficients(240.0, 10.0)
     settings.static_contact_softness = rapier3d.SpringCoefficients(480.0, 10.0)

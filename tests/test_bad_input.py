@@ -253,7 +253,7 @@ def test_a_broken_texture_is_named_with_the_remedy(capsys, tmp_path, damage):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [slow("exr"), "hdr"])
-def test_a_cut_environment_map_is_named_and_claims_no_folder(capsys, tmp_path, ending):
+def test_a_damaged_environment_map_is_named_and_no_folder_claimed(capsys, tmp_path, ending):
     """The output folder once stayed claimed, and so refused the corrected configuration."""
     sky = np.random.default_rng(0).random((16, 32, 3)).astype(np.float32)
     whole = cv2.imencode(".hdr", sky)[1].tobytes()
@@ -347,7 +347,7 @@ def everything(folder):
         ("below a file", ["Not a directory"]),
     ],
 )
-def test_an_output_that_is_something_else_is_left_alone(capsys, tmp_path, kind, words):
+def test_an_existing_file_or_foreign_folder_is_left_alone(capsys, tmp_path, kind, words):
     path, out = write_cell(tmp_path), tmp_path / "out"
     if kind == "foreign":
         out.mkdir()
@@ -417,7 +417,7 @@ def test_a_picture_or_table_without_a_folder_says_what_to_check(capsys, tmp_path
     assert not nowhere.parent.exists()
 
 
-def test_a_gpu_that_is_not_there_is_refused_with_the_remedy(capsys, tmp_path):
+def test_a_missing_gpu_is_reported_with_the_remedy(capsys, tmp_path):
     if examine_cuda().usable:
         pytest.skip("this machine has a GPU")
     path = write_cell(tmp_path)
@@ -431,7 +431,7 @@ def test_a_gpu_that_is_not_there_is_refused_with_the_remedy(capsys, tmp_path):
     ("has_apt", "remedy"),
     [(True, "apt-get install libllvm19\n"), (False, "install a shared LLVM 19 with the system")],
 )
-def test_without_llvm_the_command_to_run_is_given(capsys, tmp_path, monkeypatch, has_apt, remedy):
+def test_without_llvm_the_error_gives_the_remedy(capsys, tmp_path, monkeypatch, has_apt, remedy):
     monkeypatch.setattr(device, "find_llvm", lambda folders=None: None)
     monkeypatch.setattr(device, "list_llvm", lambda folders=None: ())
     monkeypatch.setattr(device, "examine_cuda", lambda: CudaState(problem="none"))
@@ -450,7 +450,7 @@ def test_a_folder_that_is_no_dataset_is_not_validated(capsys, tmp_path):
         assert f"{path} is not a Graycast dataset that can be read: graycast.json" in text
 
 
-def test_a_cut_picture_is_found_and_its_scene_named(capsys, tmp_path, dataset):
+def test_a_truncated_picture_and_its_scene_are_named(capsys, tmp_path, dataset):
     shutil.copytree(dataset[1], tmp_path / "out")
     picture = tmp_path / "out" / "train" / "000000" / "rgb" / "000000.png"
     picture.write_bytes(picture.read_bytes()[:-200])
@@ -481,7 +481,7 @@ def test_a_cut_picture_is_found_and_its_scene_named(capsys, tmp_path, dataset):
          "'9' is not a size such as 1280x720"),
     ],
 )  # fmt: skip
-def test_wrong_arguments_end_with_code_2_and_say_which(capsys, arguments, words):
+def test_wrong_arguments_are_named_and_end_with_code_2(capsys, arguments, words):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == 2

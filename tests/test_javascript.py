@@ -62,7 +62,7 @@ def checked(folder, files):
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_the_scripts_of_a_page_fit_the_types_that_they_say(name, tmp_path):
+def test_the_scripts_of_a_page_agree_with_their_stated_types(name, tmp_path):
     done = checked(tmp_path, scripts(name))
     assert done.returncode == 0, done.stdout
 
@@ -76,7 +76,7 @@ def test_the_scripts_of_a_page_fit_the_types_that_they_say(name, tmp_path):
         ("scene.depth_scale_mm / (2 * limit)", "scene.depth_scale_mm / (2 * 'limit')"),
     ],
 )
-def test_a_name_or_a_number_of_arguments_that_is_wrong_is_noticed(right, wrong, tmp_path):
+def test_a_wrong_name_or_number_of_arguments_is_noticed(right, wrong, tmp_path):
     """Scripts read without their types would pass the check with any fault."""
     broken = []
     for path in scripts("page"):
@@ -87,7 +87,7 @@ def test_a_name_or_a_number_of_arguments_that_is_wrong_is_noticed(right, wrong, 
     assert done.returncode != 0 and "error TS" in done.stdout
 
 
-def test_every_script_is_as_the_formatter_writes_it_and_belongs_to_a_page():
+def test_every_script_is_formatted_and_belongs_to_a_page():
     there = sorted({*SOURCE.rglob("*.js"), *(ROOT / "docs").glob("*.js")})
     assert set(there) == {path for name in PAGES for path in scripts(name)}
     done = run("prettier/bin/prettier.cjs", "--check", *there, WEB / "types.d.ts")

@@ -43,7 +43,7 @@ def last_row(text):
 
 
 @pytest.mark.parametrize("stream", [Terminal(), OutStream()], ids=["terminal", "notebook"])
-def test_a_line_of_progress_is_shown_in_a_terminal_and_removed_at_the_end(stream, monkeypatch):
+def test_a_progress_line_is_shown_in_a_terminal_and_removed_at_the_end(stream, monkeypatch):
     monkeypatch.setattr(sys, "stderr", stream)
     assert checked(work)() == "done"
     text = stream.getvalue()
@@ -52,7 +52,7 @@ def test_a_line_of_progress_is_shown_in_a_terminal_and_removed_at_the_end(stream
     assert max(map(len, text.split("\r"))) <= MOST_COLUMNS
 
 
-def test_no_progress_is_written_to_a_pipe_or_if_the_caller_has_a_meter(monkeypatch):
+def test_pipes_and_callers_with_a_meter_get_no_progress_line(monkeypatch):
     pipe, heard = io.StringIO(), []
     monkeypatch.setattr(sys, "stderr", pipe)
     checked(work)()
@@ -62,7 +62,7 @@ def test_no_progress_is_written_to_a_pipe_or_if_the_caller_has_a_meter(monkeypat
     assert pipe.getvalue() == terminal.getvalue() == "" and len(heard) == 2
 
 
-def test_a_print_inside_a_loop_starts_in_an_empty_row(monkeypatch):
+def test_a_print_inside_a_loop_starts_on_an_empty_line(monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     for k in checked(each)(3):
         assert f"graycast: scene {k} ..." in terminal.getvalue()
@@ -88,7 +88,7 @@ def test_a_loop_that_is_left_early_closes_its_iterator(monkeypatch):
     assert closed == [True]
 
 
-def test_a_note_stays_above_the_line_of_progress():
+def test_a_note_stays_above_the_progress_line():
     terminal = Terminal()
     line = StatusLine(terminal)
     line.stage("falling")

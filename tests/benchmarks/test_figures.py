@@ -50,7 +50,7 @@ def test_every_command_has_its_module_and_page(capsys, name):
     assert (program.ROOT / "benchmarks" / f"{name}.py").is_file()
 
 
-def test_help_loads_no_package_under_test():
+def test_the_command_line_loads_without_numpy():
     """`compare` may run without packages, and importing NumPy takes longer than its start."""
     code = "import sys; from benchmarks import __main__; print('numpy' in sys.modules)"
     words = [sys.executable, "-c", code]

@@ -53,7 +53,7 @@ def test_the_repository_has_configurations():
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
-def test_every_study_s_datasets_are_made_by_an_existing_configuration(path):
+def test_each_dataset_of_a_study_is_made_by_an_existing_configuration(path):
     """The lines at its head make them, so that a study can be run from the start."""
     spec = read_study(path)
     head = "\n".join(line for line in path.read_text().splitlines() if line.startswith("#"))
@@ -104,7 +104,7 @@ def test_reading_a_mesh_is_announced_with_its_name(name, read):
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_each_key_in_a_configuration_of_ours_has_an_effect(path):
+def test_each_key_of_our_configurations_has_an_effect(path):
     """Each key in a file of ours has the same value in the configuration."""
     config = load_config(path).model_dump(mode="json", exclude_unset=True)
     written = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -128,7 +128,7 @@ def least():
     return Config.model_validate({"parts": [{"builtin": "toothpaste"}]})
 
 
-def test_omitted_sections_equal_the_defaults_of_their_values():
+def test_omitted_sections_equal_the_defaults_of_their_classes():
     """A default is stated in the section and in the value; the two must not differ."""
     config, here = least(), Path()
     scanner, own = words.resolve_scanner(config, here), preset("paper")
@@ -139,7 +139,7 @@ def test_omitted_sections_equal_the_defaults_of_their_values():
     assert words.resolve_material(MaterialSection(), here) == Material()
 
 
-def test_the_default_bin_is_the_box_of_its_value_except_for_size_and_look():
+def test_the_default_bin_has_the_defaults_of_its_class():
     box, notes = words.resolve_bin(least().bin, Path())
     assert notes == ()
     for field in fields(Bin):
@@ -161,7 +161,7 @@ def test_a_part_s_own_material_is_kept_except_for_the_given_keys(tmp_path):
     assert own.friction > 0
 
 
-def test_one_key_of_a_built_in_metal_leaves_it_metal(tmp_path):
+def test_a_metal_with_one_changed_key_stays_metal(tmp_path):
     """Otherwise it would be white plastic."""
     section = {"builtin": "metal_workpiece_1", "material": {"roughness": 0.2}}
     part = words.resolve_parts(Config.model_validate({"parts": [section]}), tmp_path)[0][0]
@@ -170,7 +170,7 @@ def test_one_key_of_a_built_in_metal_leaves_it_metal(tmp_path):
     assert own.metallic == 1.0
 
 
-def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):
+def test_a_scaled_part_is_the_same_part_in_another_size(tmp_path):
     """A batch may be off by its tolerance: looks, symmetry and density stay, lengths do not."""
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     turn[:3, 3] = [0.02, 0.0, 0.0]  # a half turn about the line x = 10 mm, y = 0

@@ -196,7 +196,7 @@ def test_a_change_of_the_scanner_in_a_rig_file_is_noticed(cell, undisturbed, nam
         rerender(other, undisturbed, 0, seed=0, device="cpu")
 
 
-def test_a_mix_drops_all_kinds_and_otherwise_each_scene_has_one(tmp_path):
+def test_with_mix_a_scene_has_all_kinds_and_otherwise_one(tmp_path):
     parts = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("a", "b", "c")]
     rng = np.random.default_rng
     for mix in (False, True):
@@ -215,7 +215,7 @@ def test_a_mix_drops_all_kinds_and_otherwise_each_scene_has_one(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_configuration_that_cannot_be_dropped_does_not_claim_the_folder(tmp_path):
+def test_a_configuration_with_a_too_small_bin_claims_no_folder(tmp_path):
     """A folder once kept the claim of a configuration that never made a scene."""
     out = tmp_path / "out"
     narrow = {"inner_m": [0.02, 0.02, 0.1], "material": {}}
@@ -295,7 +295,7 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
 
 
 @pytest.mark.slow
-def test_an_unforeseen_error_is_tried_three_times_and_reported_with_its_place(
+def test_a_scene_is_tried_three_times_and_its_error_reported_with_a_traceback(
     cell, undisturbed, tmp_path, monkeypatch
 ):
     with monkeypatch.context() as patch:
@@ -365,7 +365,7 @@ def test_the_command_rerender_needs_only_the_dataset(config_file, undisturbed, t
     assert capsys.readouterr().out.endswith("000001: the same\n")
 
 
-def test_a_dataset_s_origin_is_its_configuration(cell, undisturbed):
+def test_a_dataset_s_origin_has_its_configuration(cell, undisturbed):
     origin = read_origin(undisturbed)
     run_keys = {"scenes", "seed"}
     assert origin.config.model_dump(exclude=run_keys) == cell.config.model_dump(exclude=run_keys)

@@ -35,13 +35,13 @@ def test_the_metered_pixels_are_those_whose_rays_meet_the_inside_of_the_bin(tmp_
     assert (region & meets).sum() > 0.9 * meets.sum()
 
 
-def test_a_scene_without_a_bin_has_no_region(tmp_path):
+def test_a_scene_without_a_bin_has_no_metered_region(tmp_path):
     scene = replace(load_cell(write_cell(tmp_path)).scene, bin=None)
     assert metered_region(scene, ExposureSpec(auto=True)) is None
 
 
 @pytest.mark.parametrize("exposure", [ExposureSpec(), ExposureSpec(exposure_s=0.01)])
-def test_fixed_exposures_draw_no_region(tmp_path, monkeypatch, exposure):
+def test_fixed_exposures_draw_no_metered_region(tmp_path, monkeypatch, exposure):
     scene = load_cell(write_cell(tmp_path)).scene
     monkeypatch.setattr(cv2, "fillConvexPoly", None)
     assert metered_region(scene, exposure) is None

@@ -135,7 +135,7 @@ def commands(parser, name=""):
     }
 
 
-def test_the_commands_and_their_options_are_these():
+def test_every_command_has_exactly_the_listed_options():
     options_of = {
         name: [
             action.option_strings[-1] if action.option_strings else action.dest
@@ -242,20 +242,20 @@ def test_a_flag_has_one_meaning_one_type_and_one_metavar():
         ("onnx", "detector onnx"),
     ],
 )
-def test_a_misspelt_command_names_the_one_that_was_meant(capsys, word, meant):
+def test_the_error_for_a_misspelt_command_names_the_right_one(capsys, word, meant):
     with pytest.raises(SystemExit):
         main([word])
     assert f"{word!r} does not exist: did you mean {meant}?" in capsys.readouterr().err
 
 
-def test_a_former_command_says_what_does_the_same_now(capsys):
+def test_a_former_command_names_its_replacement(capsys):
     with pytest.raises(SystemExit):
         main(["robot", "film", "out/picks", "--out", "film.gif"])
     message = capsys.readouterr().err
     assert "film is gone: graycast robot report writes a page" in message and "ffmpeg" in message
 
 
-def test_the_width_in_the_help_is_that_of_the_library():
+def test_the_width_in_the_help_is_the_library_s_default():
     assert scene_commands.WIDTH_PX == WIDTH_PX
 
 
@@ -268,7 +268,7 @@ def test_each_example_in_the_help_can_be_parsed():
         command._parser().parse_args(line.strip().split("  ")[0].split()[1:])
 
 
-def test_the_help_names_the_page_that_lists_all_pages(capsys):
+def test_the_help_names_the_index_of_the_documentation(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     text = "".join(capsys.readouterr().out.partition("documentation:")[2].split())
@@ -372,7 +372,7 @@ def cell_and_dataset(tmp_path_factory):
     ("workers", "text"),
     [(1, "about 0:00:30 and 0.02 GB"), (4, "about 0:00:08 and"), (0, "0.02 GB")],
 )
-def test_generate_estimates_the_other_scenes_from_one(tmp_path, workers, text):
+def test_generate_estimates_time_and_disk_space_from_one_scene(tmp_path, workers, text):
     """Ten scenes of 3 s and 2 MB each; workers share the time, but not the disk."""
     first = TaskResult(
         scene_id=0, files=(("a", bytes(1_500_000)), ("b", bytes(500_000))), seconds=3.0,

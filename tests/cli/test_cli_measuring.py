@@ -175,7 +175,7 @@ def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_p
 
 
 @pytest.mark.slow
-def test_decode_adds_no_fault_of_the_rig(decoded, capsys, tmp_path):
+def test_decode_ignores_the_faults_of_a_rig(decoded, capsys, tmp_path):
     rig, folder, out, _ = decoded
     faulty = Scanner(rig=rig, faults=FaultSpec(raster_px=1.0))
     save_scanner(faulty, tmp_path / "rig.yaml")
@@ -263,7 +263,7 @@ K_TEXT = "190,190,79.5,59.5"
         (np.full((2, 40, 50), 0.8), "give a depth map with rows and columns"),
     ],
 )
-def test_a_file_that_is_no_depth_map_is_refused_without_a_folder(capsys, tmp_path, array, message):
+def test_a_refused_depth_map_leaves_no_output_folder(capsys, tmp_path, array, message):
     np.save(tmp_path / "z.npy", array)
     out = tmp_path / "deep" / "out"
     text = refused(
@@ -339,7 +339,7 @@ def test_a_folder_is_written_completely_or_not_at_all(tmp_path, fault):
     assert [(path.name, path.read_text()) for path in existing.iterdir()] == [("old", "new")]
 
 
-def test_certify_refuses_its_folder_before_it_works(capsys, tmp_path, monkeypatch):
+def test_certify_checks_its_folder_before_it_starts(capsys, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("x")
     monkeypatch.setattr(
         "graycast.score.metrology.certify", lambda *_, **__: pytest.fail("it worked")

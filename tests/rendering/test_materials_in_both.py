@@ -89,7 +89,7 @@ def with_words(**words):
     return Material(base_color=BANDS, **words)
 
 
-def test_descriptions_are_applied_and_lambert_is_the_same_in_both(cpu_device, in_cycles):
+def test_descriptions_apply_and_lambert_is_the_same_in_both_renderers(cpu_device, in_cycles):
     """Furnace and lamp; a metal and a plastic show that their descriptions are applied, too."""
     lambert = with_words(specular=0.0)
     lit = [with_words(metallic=1.0, roughness=0.4), with_words(roughness=0.5)]
@@ -114,7 +114,7 @@ def test_metal_looks_the_same_in_mitsuba_and_cycles(cpu_device, in_cycles):
     assert (np.abs(ratio - 1) < 0.003 + 4 * error).all()
 
 
-def test_grooves_have_the_same_shape_in_both(cpu_device, in_cycles):
+def test_grooves_have_the_same_shape_in_both_renderers(cpu_device, in_cycles):
     """Along x, seen and lit from all sides. Cycles' table of compensation ignores grooves: its
     metal is darker by one factor for all lamps, in the brightest band by 0.2 % at roughness 0.2, 2
     % at 0.35 and 8 % at 0.5.
@@ -133,7 +133,7 @@ def test_grooves_have_the_same_shape_in_both(cpu_device, in_cycles):
     assert (np.abs(darker - [0.002, 0.02, 0.083]) < [0.002, 0.002, 0.003]).all()
 
 
-def test_the_total_reflection_of_plastic_is_the_same_in_both(cpu_device, in_cycles):
+def test_plastic_reflects_the_same_total_in_both_renderers(cpu_device, in_cycles):
     """In the furnace, a very rough coat of Cycles reflects 9 % more, as light that hits two of its
     facets returns; ours leaves it to the base. With a base of 0.2 that is 1 %.
     """
@@ -163,7 +163,7 @@ def test_plastic_under_a_lamp_differs_by_the_light_absorbed_in_the_coat(cpu_devi
     assert (ratio[~steep] < 1.22).all()
 
 
-def test_a_half_metallic_surface_is_half_of_each_material_in_both(cpu_device, in_cycles):
+def test_a_half_metal_is_half_of_each_material_in_both_renderers(cpu_device, in_cycles):
     cases = [
         (with_words(metallic=0.4, roughness=r, specular=s), view, lamp)
         for r, s, view, lamp in product((0.3, 0.8), (0.0, 0.5), (0, 60), [None, (60, 180)])
@@ -172,7 +172,7 @@ def test_a_half_metallic_surface_is_half_of_each_material_in_both(cpu_device, in
     assert (np.abs(ratio - 1) < 0.03 + 4 * error).all()
 
 
-def test_metal_that_scatters_light_looks_the_same_in_both(cpu_device, in_cycles):
+def test_metal_that_scatters_light_is_the_same_in_both_renderers(cpu_device, in_cycles):
     """Both add Lambert's law to one model of metal, so the limit is that of plain metal."""
     cases = [
         (with_words(metallic=1.0, roughness=r, diffuse=d), view, lamp)
@@ -184,7 +184,7 @@ def test_metal_that_scatters_light_looks_the_same_in_both(cpu_device, in_cycles)
     assert (np.abs(ratio - 1) < 0.003 + 4 * error).all()
 
 
-def test_half_metal_that_scatters_light_looks_the_same_in_both(cpu_device, in_cycles):
+def test_half_metal_that_scatters_light_is_the_same_in_both_renderers(cpu_device, in_cycles):
     """The limit is that of a half metallic surface."""
     cases = [
         (with_words(metallic=0.4, roughness=0.4, diffuse=0.6), view, lamp)
@@ -194,7 +194,7 @@ def test_half_metal_that_scatters_light_looks_the_same_in_both(cpu_device, in_cy
     assert (np.abs(ratio - 1) < 0.03 + 4 * error).all()
 
 
-def test_backs_reflect_nothing_in_both(cpu_device, in_cycles):
+def test_backs_reflect_nothing_in_both_renderers(cpu_device, in_cycles):
     metal = with_words(metallic=1.0)
     cases = [(metal, 150, None), (metal, 30, (150, 0)), (metal, 150, (120, 0))]
     assert (in_cycles(cases)[:, 0] == 0).all()

@@ -48,7 +48,7 @@ def lines_of(name):
     return lines
 
 
-def test_there_is_a_file_for_each_name_and_no_other():
+def test_the_shelf_has_exactly_one_file_for_each_name():
     names = {path.name for path in files("graycast.rig.shelf").iterdir()}
     own = {name for name in names if name.endswith(".yaml")} - {"measured.yaml"}
     assert own == {f"{name}.yaml" for name in SHELF}
@@ -100,7 +100,7 @@ def test_a_base_that_is_unknown_or_has_a_base_itself_is_refused(monkeypatch, tmp
         shelf_entry.__wrapped__("like-phoxi-m")
 
 
-def test_a_section_of_the_file_replaces_that_of_its_base_whole():
+def test_a_section_of_a_file_replaces_its_base_s_whole_section():
     """The maker states the noise of the M60, and none of the MR60."""
     own, base = (shelf_entry(f"like-zivid-2plus-{name}") for name in ("mr60", "m60"))
     assert (own.camera, own.t_cam_proj_m, own.far_m) == (base.camera, base.t_cam_proj_m, base.far_m)
@@ -115,7 +115,7 @@ def test_the_page_says_how_many_numbers_are_from_memory():
     assert f" {count} numbers are still from memory" in page.read_text().replace("\n", " ")
 
 
-def test_the_class_of_several_numbers_is_the_weakest_one():
+def test_the_class_of_several_numbers_is_the_weakest_class():
     assert class_of("like-mech-eye-pro-s", "camera.size_px") == "quoted"
     assert class_of("like-mech-eye-pro-s", "camera.size_px", "claims.capture_s") == "memory"
     assert class_of("like-phoxi-l", "near_m", "far_m", "f_number") == "choice"
@@ -154,7 +154,7 @@ def test_the_common_field_agrees_with_the_maker_s_value(name):
 
 
 @EVERY
-def test_the_distance_of_neighbouring_points_agrees_with_the_maker_s_value(name):
+def test_the_spacing_of_points_agrees_with_the_maker_s_value(name):
     """Oracle: similar triangles; the makers round to 0.01 mm."""
     claim = shelf_entry(name).claims.spacing
     if claim is not None:
@@ -185,7 +185,7 @@ def test_the_middle_rays_meet_inside_the_range(name):
 
 @EVERY
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
-def test_binning_does_not_change_the_field_of_the_camera(name, resolution):
+def test_binning_does_not_change_the_camera_s_field_of_view(name, resolution):
     """The outer borders of the corner pixels keep their rays, and no pixel is left over."""
     full, binned = preset_rig(name, "full").camera, preset_rig(name, resolution).camera
     assert full.width_px % binned.width_px == full.height_px % binned.height_px == 0

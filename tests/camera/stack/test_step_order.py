@@ -89,7 +89,7 @@ def test_an_exchange_that_equals_a_reversed_sine_is_named_before_the_reversal(
     assert second.startswith("the steps run backwards. With step")
 
 
-def test_a_picture_in_place_of_another_is_called_a_copy_and_not_an_exchange(tmp_path):
+def test_a_copied_picture_is_reported_as_a_copy_and_not_as_an_exchange(tmp_path):
     code = CODES["eight"]
     stack = shoot_cluttered(code, HARD)
     k, other = (next(i for i, f in enumerate(code.frames) if f.step == s) for s in (1, 3))

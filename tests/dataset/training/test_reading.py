@@ -164,7 +164,7 @@ def test_clouds_and_other_folders_are_refused_as_examples(exported, tmp_path, ma
 
 
 @pytest.mark.parametrize("former", ["bop-imagewise", "webdataset"])
-def test_an_export_of_a_former_format_names_the_one_to_take(exported, former):
+def test_an_export_of_a_former_format_names_the_new_format(exported, former):
     out = exported("yolo")
     path = out / "export.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": former}))
@@ -187,7 +187,7 @@ def test_a_dataset_and_its_exports_are_read_with_few_packages_installed(master, 
 
 
 @pytest.mark.slow
-def test_a_package_called_absent_cannot_be_imported():
+def test_a_package_made_absent_cannot_be_imported():
     """So the test above would notice an import of it."""
     wrong = READ.replace(
         "from graycast.dataset.training",

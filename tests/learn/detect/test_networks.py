@@ -91,7 +91,7 @@ def test_detections_have_the_promised_form(model, ready):
 
 @pytest.mark.slow
 @EVERY
-def test_limits_keep_the_first_of_all_detections(model, ready):
+def test_limits_remove_only_the_last_detections(model, ready):
     """`most` and `least_score` shorten the list and leave the other entries unchanged."""
     network = ready(model)
     images, _ = pictures()
@@ -117,7 +117,7 @@ def test_empty_detections_have_the_promised_form(model, ready):
 
 @pytest.mark.slow
 @FIRST
-def test_one_seed_gives_one_network_and_one_loss(model):
+def test_the_same_seed_gives_the_same_network_and_loss(model):
     images, targets = pictures()
     first, second = opened(model, seed=3), opened(model, seed=3)
     for a, b in zip(first.state_dict().values(), second.state_dict().values(), strict=True):
@@ -129,7 +129,7 @@ def test_one_seed_gives_one_network_and_one_loss(model):
 
 @pytest.mark.slow
 @EVERY
-def test_pictures_without_parts_teach_that_there_is_nothing(model):
+def test_pictures_without_parts_give_a_finite_loss_and_gradients(model):
     network = opened(model)
     images, targets = pictures()
     empty = replace(
@@ -152,7 +152,7 @@ def test_pictures_without_parts_teach_that_there_is_nothing(model):
 
 @pytest.mark.slow
 @FIRST
-def test_saved_weights_find_the_same(model, ready, tmp_path):
+def test_saved_weights_find_the_same_parts(model, ready, tmp_path):
     first, second = ready(model), opened(model, seed=9).eval()
     torch.save(first.state_dict(), tmp_path / "weights.pt")
     second.load_state_dict(torch.load(tmp_path / "weights.pt", weights_only=True))
@@ -198,7 +198,7 @@ def test_an_ignored_instance_is_neither_a_positive_nor_a_negative(model):
 
 @pytest.mark.parametrize("channels", [slow(1), 4])
 @FIRST
-def test_every_channel_of_a_picture_is_seen(model, channels):
+def test_every_channel_affects_the_loss(model, channels):
     network = opened(model, channels=channels).eval()
     images, targets = pictures(channels=channels)
     images.requires_grad_()
@@ -214,7 +214,7 @@ def test_a_library_that_is_not_installed_is_named_with_what_installs_it(model):
         network_class(model)(channels=3, classes=2, backbone=None, size_px=SIZE_PX)
 
 
-def test_the_judge_knows_what_is_right_and_what_is_not():
+def test_right_classes_score_1_and_wrong_ones_nearly_0():
     """The score is 1 if all is found, and 0 for masks with exchanged classes."""
     _, targets = pictures()
     right = [

@@ -65,7 +65,7 @@ def block(*, rows, columns, visib_fract=1.0):
     )
 
 
-def test_picture_mask_and_box_move_alike(tmp_path):
+def test_picture_mask_and_box_move_together(tmp_path):
     """Oracle: the block's own pixels in the moved picture, found by their height."""
     pictures = one(block(rows=(30, 50), columns=(40, 75)), tmp_path, zoom=1.5, depth_shift=0.0)
     corners = set()
@@ -84,7 +84,7 @@ def test_picture_mask_and_box_move_alike(tmp_path):
     assert len(corners) > 15  # it did move
 
 
-def test_without_augmentation_a_picture_is_as_encoded(tmp_path):
+def test_without_augmentation_a_picture_is_the_encoded_one(tmp_path):
     example = block(rows=(30, 50), columns=(40, 75))
     image, target = one(example, tmp_path)[0]
     expected = DEPTH.encode(example, seed=0).astype(np.float16).astype(np.float32)
@@ -93,7 +93,7 @@ def test_without_augmentation_a_picture_is_as_encoded(tmp_path):
     np.testing.assert_array_equal(target.mask.numpy(), example.mask)
 
 
-def test_a_draw_depends_on_seed_epoch_and_picture_alone(tmp_path):
+def test_a_draw_depends_only_on_seed_epoch_and_picture(tmp_path):
     pictures = one(block(rows=(30, 50), columns=(40, 75)), tmp_path, zoom=1.5)
     first = pictures.at(3)[0][0]
     pictures.at(4)[0]
@@ -101,7 +101,7 @@ def test_a_draw_depends_on_seed_epoch_and_picture_alone(tmp_path):
     assert not torch.equal(pictures.at(4)[0][0], first)
 
 
-def test_what_is_hidden_or_cut_off_is_ignored(tmp_path):
+def test_hidden_and_cut_off_instances_are_ignored(tmp_path):
     hidden = block(rows=(30, 50), columns=(40, 75), visib_fract=0.05)
     assert one(hidden, tmp_path)[0][1].ignored.tolist() == [True]
     assert one(hidden, tmp_path, min_visibility=0.05)[0][1].ignored.tolist() == [False]
@@ -116,7 +116,7 @@ def test_what_is_hidden_or_cut_off_is_ignored(tmp_path):
     assert any(len(edge.at(epoch)[0][1].box) == 0 for epoch in range(60))
 
 
-def test_depth_is_shifted_by_up_to_what_is_stated_and_no_hole_becomes_depth(tmp_path):
+def test_depth_is_shifted_by_at_most_the_stated_value_and_holes_stay_holes(tmp_path):
     """The limit is 0.2 of the working volume (2 in the input); one of 100 draws is near it."""
     example = block(rows=(30, 50), columns=(40, 75))
     depth_m = example.scanner_depth_m.copy()
@@ -136,7 +136,7 @@ def test_depth_is_shifted_by_up_to_what_is_stated_and_no_hole_becomes_depth(tmp_
     assert 0.18 < shift.max() < 0.201
 
 
-def test_the_learnt_range_is_a_twentieth_larger_than_that_of_depth_without_spikes(tmp_path):
+def test_the_learnt_range_ignores_spikes_and_adds_a_twentieth_at_both_ends(tmp_path):
     """Depth from 0.612 to 0.955 m gets 17 mm more at both ends, in whole centimetres."""
     depth_m = np.linspace(0.612, 0.955, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
     depth_m[40, :5], depth_m[50, :5], depth_m[60] = 0.1, 5.0, np.nan
@@ -148,7 +148,7 @@ def test_the_learnt_range_is_a_twentieth_larger_than_that_of_depth_without_spike
     assert _range_m([examples], DEPTH) == (0.59, 0.98)
 
 
-def test_pictures_of_a_dataset_make_batches(tmp_path):
+def test_pictures_of_a_dataset_form_batches(tmp_path):
     examples = open_examples(write_shapes(tmp_path, 3))
     pictures = TrainingPictures(
         [(examples, {1: 0, 2: 1})],
@@ -165,7 +165,7 @@ def test_pictures_of_a_dataset_make_batches(tmp_path):
     assert {int(k) for target in targets for k in target.label} == {0, 1}
 
 
-def test_a_dataset_without_masks_is_refused_by_a_model_of_masks(tmp_path):
+def test_a_mask_model_refuses_a_dataset_without_masks(tmp_path):
     bare = Example(
         scene_id=7, scanner_depth_m=np.ones(SIZE, np.float32), obj_id=np.array([1]),
         box_px=np.array([[1, 1, 5, 5]], np.float32),

@@ -53,7 +53,7 @@ def written(folder, **changed):
     return path
 
 
-def test_every_combination_comes_once(tmp_path):
+def test_every_combination_occurs_once(tmp_path):
     encodings = [{"name": "channel"}, {"name": "zero", "holes": "zero"}]
     spec = read_study(written(tmp_path, encodings=encodings, seeds=[0, 1]))
     names = [run.name for run in runs_of(spec)]
@@ -75,7 +75,7 @@ def normal(value, sigma, seed):
     return BootstrapFigure(value=value, draws=draws, scenes=1000)
 
 
-def test_the_gap_of_independent_worlds_has_the_root_of_both_variances(tmp_path):
+def test_the_variance_of_a_gap_is_the_sum_of_both_variances(tmp_path):
     """Oracle: 0.03 and 0.04 make 0.05; the interval of a normal figure is 1.96 of it either way."""
     run = StudyRun(
         model=ModelSection(model="yolov3"),
@@ -99,7 +99,7 @@ def test_the_gap_of_independent_worlds_has_the_root_of_both_variances(tmp_path):
     assert json.loads((tmp_path / "study.json").read_text())["rows"][0]["own"] == 0.8
 
 
-def test_each_dataset_of_a_world_has_a_row_of_its_own(tmp_path):
+def test_each_dataset_of_a_world_has_its_own_row(tmp_path):
     run = StudyRun(
         model=ModelSection(model="yolov3"), input="rgb",
         encoding=EncodingSection(name="default"), training="drawn", seed=0,
@@ -127,7 +127,7 @@ def test_the_mean_of_sets_is_more_certain_than_each():
     assert (four.high - four.low) / 2 == pytest.approx(1.96 * 0.02, rel=0.06)
 
 
-def test_what_another_detector_found_or_in_other_data_is_found_again(tmp_path, monkeypatch):
+def test_a_changed_detector_or_dataset_repeats_the_detection(tmp_path, monkeypatch):
     """A dataset replaced in its folder was once scored with detections in the old one."""
     world = study_file.TestSection(datasets=(tmp_path,))
     folder, calls = tmp_path / "found", []
@@ -220,7 +220,7 @@ def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_what_a_set_lacks_is_said_before_the_first_training(tmp_path, monkeypatch):
+def test_missing_data_of_a_set_is_reported_before_training(tmp_path, monkeypatch):
     masked, theirs = str(write_shapes(tmp_path / "own", 6)), boxes_alone(tmp_path, "theirs")
     monkeypatch.setattr(study_runs, "train", lambda *_, **__: pytest.fail("a training has begun"))
     own = {"own": {"datasets": [masked], "split": "test"}}
@@ -242,7 +242,7 @@ def test_what_a_set_lacks_is_said_before_the_first_training(tmp_path, monkeypatc
 
 
 @pytest.mark.slow
-def test_a_study_goes_on_and_says_what_the_judge_says(tmp_path, capsys):
+def test_a_study_continues_and_its_table_has_the_scores(tmp_path, capsys):
     own, other = (write_shapes(tmp_path / name, 14, seed=i) for i, name in enumerate("ab"))
     own.rename(tmp_path / "own")
     other.rename(tmp_path / "other")

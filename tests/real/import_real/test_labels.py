@@ -83,7 +83,7 @@ def test_an_outline_far_beyond_the_picture_is_not_cut(tmp_path):
     assert "its corner (99.1, 10) lies outside of the picture of 96 x 64 pixels" in far
 
 
-def test_names_with_backslashes_and_hidden_files_are_understood(tmp_path):
+def test_backslashes_in_names_are_read_and_hidden_files_ignored(tmp_path):
     content = coco()
     for image in content["images"]:
         image["file_name"] = f"rgb\\{image['file_name']}"
@@ -106,7 +106,7 @@ def mask_shape(inside, x=20, y=10, **changes):
     } | changes
 
 
-def test_masks_of_labelme_are_joined_with_the_polygons_of_their_group(tmp_path):
+def test_labelme_masks_are_joined_with_the_polygons_of_their_group(tmp_path):
     rng = np.random.default_rng(0)
     inside = rng.random((40, 30)) < 0.5
     polygon = {"label": "part", "points": [[0, 0], [4, 0], [4, 3], [0, 3]], "group_id": 7}
@@ -132,7 +132,7 @@ def test_masks_of_labelme_are_joined_with_the_polygons_of_their_group(tmp_path):
         (mask_shape(np.zeros((4, 3), bool)), "covers no pixel"),
     ],
 )
-def test_unusable_masks_of_labelme_are_refused(tmp_path, shape, message):
+def test_unusable_labelme_masks_are_refused(tmp_path, shape, message):
     assert re.search(message, refusal(write_labelme(tmp_path / "photos", [shape])))
 
 

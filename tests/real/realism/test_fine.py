@@ -90,7 +90,7 @@ def test_incidence_is_the_angle_between_ray_and_normal():
     assert np.sort(fine.incidence_rad) == pytest.approx(np.sort(expected), abs=3e-3)
 
 
-def test_the_noise_of_a_pair_is_its_independent_part_with_its_correlation():
+def test_a_pair_gives_the_independent_noise_and_its_correlation():
     """Shape and a fixed pattern cancel; the mean of two neighbours has a half at lag 1."""
     rng = np.random.default_rng(8)
     fixed = plane(0.3) + 3e-4 * rng.standard_normal((240, 320))

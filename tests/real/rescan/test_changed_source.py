@@ -105,7 +105,7 @@ def test_every_option_is_in_the_claim_or_changes_no_result(original):
     assert alike == NO_OTHER_RESULT
 
 
-def test_the_numbers_of_a_file_of_intrinsics_are_claimed_and_not_its_name(original, tmp_path):
+def test_the_claim_depends_on_the_intrinsics_and_not_on_their_file_name(original, tmp_path):
     source = open_source(original / "lm/train_pbr")
     file = tmp_path / "K.txt"
     file.write_text("90 0 31\n0 91 24.5\n0 0 1\n")
@@ -143,7 +143,7 @@ def test_an_added_option_is_in_the_claim():
         claimed_options(SourceOptions(), without=("lens",))
 
 
-def test_a_rescan_is_not_continued_with_another_scale_of_depth(root):
+def test_a_rescan_is_not_continued_with_another_depth_scale(root):
     """This was once allowed, and validate called the mixture valid."""
     words = r"differs in config\.options\.depth_scale_mm \(null there, 0\.2 here\)"
     with pytest.raises(DatasetError, match=words):
@@ -207,7 +207,7 @@ def test_an_image_missing_in_the_source_is_named(root):
     assert "has changed since it was scanned" in problems(root)[0]
 
 
-def test_a_json_file_with_another_layout_only_is_unchanged(root):
+def test_json_files_with_only_another_layout_count_as_equal(root):
     for name in ("scene_gt", "scene_camera"):
         path = root / f"lm/train_pbr/000000/{name}.json"
         path.write_text(json.dumps(json.loads(path.read_text()), indent=7))
@@ -228,7 +228,7 @@ def test_a_moved_dataset_can_be_continued_if_its_old_path_links_to_it(root):
     assert again(root).there == 2 and problems(root) == []
 
 
-def test_poses_of_both_are_compared_if_a_record_has_no_checksums(root):
+def test_the_poses_are_compared_if_a_record_has_no_checksums(root):
     """Records of earlier versions have none."""
     scene = root / "out/train_pbr/000000"
     for path in (scene / "scan_sl").iterdir():
@@ -263,7 +263,7 @@ def test_a_change_of_depth_only_is_named(tmp_path):
         scan()
 
 
-def test_a_damaged_record_is_named_as_a_foreseen_error(root):
+def test_a_damaged_record_is_named_with_the_remedy(root):
     (root / "out/train_pbr/000000/scan_sl/000004.json").write_text("{")
     with pytest.raises(DatasetError, match=r"000004\.json.*remove this record to scan its image"):
         again(root)

@@ -104,7 +104,7 @@ def staged():
     return scene
 
 
-def test_the_surface_exists_at_every_pixel_without_the_noise(staged):
+def test_the_surface_covers_every_pixel_and_has_little_noise(staged):
     """Paraboloids leave a fifth of the noise; edges are rounded by at most a pixel's step."""
     truth_m, part_m = of_thing(camera()), of_part(staged, camera())
     inner = np.isfinite(truth_m) & np.isfinite(noisy_scan().depth_m)
@@ -263,7 +263,7 @@ def test_pictures_become_reflectances_with_white_as_the_brightest():
     assert light(b[0, 0])[2] == pytest.approx(0.03, abs=0.002)  # print is not blacker
 
 
-def test_a_texture_is_at_the_surface_that_its_picture_shows(staged):
+def test_a_texture_is_on_the_surface_that_its_picture_shows(staged):
     """uv of the top's vertices are their positions in the picture."""
     part = staged.parts[0]
     mesh: Mesh = part.mesh

@@ -30,7 +30,7 @@ def test_a_scan_without_smooth_squares_has_no_texture(missing):
         assert np.isnan(row(z_m, name))
 
 
-def test_noise_common_to_rows_is_that_of_the_squares():
+def test_noise_common_to_rows_is_their_correlation():
     """Rows are a sum of their own noise and of that of neighbours: the correlation of `a_y + k
     a_(y+1)` with the next row is `k / (1 + k^2)`, which columns do not have.
     """
@@ -69,7 +69,7 @@ def test_holes_of_the_floor_are_those_in_its_plane():
     assert figures["holes in the floor"][0] == pytest.approx(100 * 40 / on_floor, rel=0.01)
 
 
-def test_missing_depth_on_a_side_of_the_bin_is_counted_for_it():
+def test_missing_depth_is_counted_for_its_side_of_the_bin():
     z_m = plane().copy()
     side, visible = np.zeros(z_m.shape, dtype=bool), np.ones(z_m.shape, dtype=bool)
     side[:, :50], visible[:120] = True, False
@@ -80,7 +80,7 @@ def test_missing_depth_on_a_side_of_the_bin_is_counted_for_it():
     assert np.isnan(figures["missing on the bin's upper side"][0])
 
 
-def test_the_spread_of_three_equal_scans_is_a_twentieth_or_the_declared_one():
+def test_equal_scans_get_the_least_allowed_spread():
     """Otherwise, scans that are equal by chance would match no statistics."""
     real = Figures(value={name: np.full(3, 1.0) for name in ROWS})
     spread = {one.name: one.spread for one in compare(real, real)}

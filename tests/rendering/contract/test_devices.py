@@ -73,7 +73,7 @@ def plain_and_dimmed(renderer, device, **words):
 
 
 @pytest.mark.parametrize("device", ["camera", "projector"])
-def test_light_falls_by_the_fourth_power_of_the_cosine_for_a_camera_and_the_first_for_a_projector(
+def test_light_falls_with_the_fourth_power_of_the_cosine_in_a_camera_and_the_first_in_a_projector(
     renderer, device
 ):
     """Oracle: the ratio of pictures with and without falloff; angles by the dot product."""
@@ -191,7 +191,7 @@ def test_the_measuring_camera_sees_the_reflectance_at_the_projector_s_wavelength
 
 
 @pytest.mark.slow
-def test_a_surface_without_that_reflectance_keeps_its_colour_next_to_one_with_it(renderer):
+def test_a_surface_without_a_projector_reflectance_keeps_its_own_colour(renderer):
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
     pattern = plain_pattern(rig, 255)
     patch = wall(0.7, replace(lambert(0.9), projector_reflectance=0.3), half_m=0.06)

@@ -78,7 +78,7 @@ def test_a_wall_throws_the_shadow_of_similar_triangles(rim_m, baseline_m, height
     assert share_of(view.camera, surface, Visibility.VISIBLE) == 1.0
 
 
-def test_what_a_wall_hides_from_the_camera_is_its_own_kind_and_no_shadow():
+def test_a_place_that_a_wall_hides_from_the_camera_is_not_a_shadow():
     """The same triangle with camera and projector exchanged."""
     rig = make_rig(centred(900, 700, 500), centred(600, 500, 400), baseline_m=(0.4, 0, 0))
     scene = plate_in_bin(rig, (-0.4, 0.0, THICK_M + 0.8), rim_m=0.06)
@@ -105,7 +105,7 @@ def test_a_camera_sees_its_field_of_view_and_no_more(height_m):
 
 
 @pytest.mark.slow
-def test_the_open_surface_weighs_what_it_shows_from_above():
+def test_points_weigh_as_much_as_their_area_from_above():
     """Oracle: under a cone of 0 degrees the weights times the area are the plate's silhouette; its
     sides and its underside weigh nothing. A wider cone sees its top by the mean cosine."""
     rig = make_rig(centred(600, 500, 400), centred(900, 700, 500))
@@ -140,7 +140,7 @@ def test_occlusion_by_a_part_by_the_bin_and_by_its_own_back_differ():
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.7, 1.3, 1.5])
-def test_a_convex_part_alone_hides_nothing_of_what_looks_at_the_eye(lean_rad):
+def test_a_convex_part_does_not_hide_faces_towards_the_camera(lean_rad):
     """A convex body hides none of its faces towards the eye, even very steep ones."""
     rig = make_rig(centred(300, 250, 150), centred(900, 700, 500))
     scene = plate_in_bin(rig, (0.1, 0.05, 0.9), rim_m=0.0065)
@@ -156,7 +156,7 @@ def test_a_convex_part_alone_hides_nothing_of_what_looks_at_the_eye(lean_rad):
 
 
 @pytest.mark.slow
-def test_small_pictures_are_enlarged_about_the_same_field():
+def test_a_small_picture_and_a_large_one_show_the_same_surface():
     """A camera with 30 pixels sees the same surface as one with 300 pixels."""
     for times in (1, 10):
         camera = centred(30 * times, 24 * times, 40 * times)
@@ -235,7 +235,7 @@ def test_every_place_has_one_fate(error_m, reason, fate):
         assert record["sigma_m"] is None and record["feature_m"] is None
 
 
-def test_sigma_bias_and_feature_are_those_of_the_errors():
+def test_sigma_bias_and_feature_follow_from_the_errors():
     """Oracle: normal errors; the standard error of a quantile's sigma over 12 000 pixels is 1.2 %,
     of the median 0.0125 sigma."""
     record = plate_figures(0.0003, noise_m=0.0004)
@@ -298,7 +298,7 @@ def one_point(camera, projector, *, weight=(1.0,)):
     return surface, view
 
 
-def test_places_count_by_what_they_show_from_above():
+def test_figures_weigh_points_by_their_area_from_above():
     """Seen weight is 0.7, measured weight 0.5, of which 0.4 is 0.2 mm too far away."""
     surface, view = one_point(VISIBLE, VISIBLE, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
     fates = (Fate.MEASURED, Fate.MEASURED, Fate.DARK, Fate.HIDDEN_BY_PARTS, Fate.MEASURED)

@@ -71,7 +71,7 @@ def test_point_spacing_is_depth_over_focal_length(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_the_written_certificate_is_json_and_a_page_that_needs_nothing_else(certificate, tmp_path):
+def test_a_certificate_is_written_as_json_and_as_a_self_contained_page(certificate, tmp_path):
     page = write_certificate(certificate, tmp_path / "new")
     record = json.loads((tmp_path / "new" / "certificate.json").read_text())
     assert record["summary"]["temporal_noise_m"] == certificate.middle.noise_m
@@ -178,7 +178,7 @@ def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(mitsuba_
 
 
 @pytest.mark.slow
-def test_the_error_of_a_shot_has_what_the_noise_between_shots_has_not(mitsuba_renderer):
+def test_the_error_of_a_shot_includes_faults_that_all_shots_share(mitsuba_renderer):
     """A raster whose points lie off the pixels' centres moves the depth on a slope, in every shot
     alike. Oracle: a plane z = z0 + tan(t) y rises by tan(t) z^2 / (z0 f) for each pixel.
     """
@@ -203,7 +203,7 @@ def test_a_plane_states_all_exposures_of_its_pictures(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_half_an_exposure_is_one_of_half_the_brightness(mitsuba_renderer):
+def test_half_an_exposure_gives_half_the_brightness(mitsuba_renderer):
     """A single factor was once applied twice."""
     half, dim = (
         _exposed(mitsuba_renderer, exposure)

@@ -97,7 +97,7 @@ def test_the_part_moves_with_the_tool_until_its_release(page, address, picks):
     np.testing.assert_allclose(fell, episode.attempts[2]["T_world_part"][0], atol=1e-5)
 
 
-def test_the_scan_is_that_of_the_file(page, address, picks):
+def test_the_opened_scan_is_the_stored_depth(page, address, picks):
     for number in range(3):
         opened(page, address, f"bin-000000/{number}")
         scan = np.array(page.evaluate("Array.from(Graycast.opened().scan.scanner)"))
@@ -204,7 +204,7 @@ def test_a_missing_bin_is_reported(page, address):
         assert text in page.locator(".sorry").inner_text()
 
 
-def test_no_two_rows_of_the_table_of_seconds_have_one_name(page):
+def test_no_two_rows_of_the_table_of_seconds_share_a_name(page):
     """The scanner's own seconds and those of computing a scan are different."""
     names = page.locator("#stages th").all_inner_texts()
     assert len(names) >= 3 and len(names) == len(set(names))

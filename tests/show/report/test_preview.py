@@ -186,7 +186,7 @@ def test_a_sheet_that_cannot_be_written_is_named_and_leaves_no_file(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["taken.png"]
 
 
-def test_another_code_than_that_of_the_capture_is_refused(tmp_path):
+def test_a_code_other_than_the_captured_one_is_refused(tmp_path):
     with pytest.raises(ValueError, match="14 frames, and the code has 26"):
         preview.draw_preview(make_shot(), gray(64, 48, inverses=True), tmp_path / "sheet.png")
     assert not list(tmp_path.iterdir())

@@ -473,7 +473,7 @@ def test_two_textures_are_refused_unless_a_material_is_given(tmp_path):
     assert len(part.mesh.faces) == 24
 
 
-def test_an_unknown_unit_is_an_error_of_the_caller(tmp_path):
+def test_an_unknown_unit_raises_value_error(tmp_path):
     with pytest.raises(ValueError, match="'inches'; choose one of m, cm, mm, inch"):
         load(exported(box(), tmp_path / "part.stl"), unit="inches")
 

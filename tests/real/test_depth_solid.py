@@ -21,7 +21,8 @@ TILTED = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
 
 def pixel_rays(camera=CAMERA):
     y, x = np.mgrid[: camera.height_px, : camera.width_px]
-    return rays(camera, np.column_stack([x.ravel(), y.ravel()])).reshape(*x.shape, 3)
+    pixel = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
+    return rays(camera, pixel).reshape(*x.shape, 3)
 
 
 def plane_m(normal=TILTED, off_m=0.5, camera=CAMERA):

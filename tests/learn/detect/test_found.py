@@ -1,7 +1,5 @@
 """Test detections that are converted from the network's input to the picture's pixels."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from pycocotools import mask as coco_mask
@@ -11,7 +9,7 @@ torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[
 from graycast.dataset.detections import Detections
 from graycast.dataset.example import Example
 from graycast.learn.detect.detecting import PictureSelection, detect
-from graycast.learn.detect.detector import _detections
+from graycast.learn.detect.detector import About, Detector, _detections
 from graycast.learn.detect.encoding import Encoding
 from graycast.learn.detect.network import NetworkOutput
 
@@ -56,16 +54,15 @@ def one_detection(score):
     ],
 )
 def test_a_note_counts_the_drawings_whose_detections_all_have_too_low_a_score(
-    tmp_path, scores, drawings, bare
+    monkeypatch, tmp_path, scores, drawings, bare
 ):
     """Only the first pictures are drawn; what was found in another picture does not count."""
     remaining = iter(scores)
-    detector = SimpleNamespace(
-        about=SimpleNamespace(
-            model="", backbone="", names=["a"], encoding=Encoding(input="rgb", size_px=(32, 32))
-        ),
-        detect=lambda *_, **__: one_detection(next(remaining)),
-    )
+    monkeypatch.setattr(Detector, "detect", lambda *_, **__: one_detection(next(remaining)))
+    encoding = Encoding(input="rgb", size_px=(32, 32))
+    about = About(model="", backbone=None, encoding=encoding, names=("a",), trained={})
+    detector = Detector.__new__(Detector)  # It needs no network.
+    object.__setattr__(detector, "about", about)
     rgb = np.zeros((8, 8, 3), np.uint8)
     pictures = PictureSelection(
         examples=[Example(scene_id=i, rgb=rgb) for i in range(2)], scene_ids=(0, 1),

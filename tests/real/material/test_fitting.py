@@ -10,7 +10,7 @@ from graycast.real.material import fitting
 from graycast.real.material.fitting import fit_material, scale_of
 from graycast.real.material.material_files import describe_fit, draw_fit, material_text
 from graycast.real.material.observing import Reflections
-from graycast.real.material.surface_model import mean_light, surface
+from graycast.real.material.surface_model import SurfaceModel, mean_light, surface
 from graycast.world.parts.material_section import MaterialSection, resolve_material
 
 SCALE = 5000.0
@@ -116,7 +116,8 @@ def test_a_flat_profile_keeps_the_best_color_and_stays_inside_its_limits(monkeyp
 
     monkeypatch.setattr(fitting, "_best_at", flat)
     curves = [curve(0.3, 0.4, -3.0), curve(0.4, 0.8, 0.0), curve(0.5, 0.3, -3.0)]
-    value = fitting._color_interval(None, "metal", curves)
+    unused = SurfaceModel.__new__(SurfaceModel)
+    value = fitting._color_interval(unused, "metal", curves)
     assert value.value == 0.8
     assert (value.low, value.high) == pytest.approx((0.2, 1.0), abs=0.003)
 

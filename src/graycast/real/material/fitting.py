@@ -196,13 +196,13 @@ def _best_at(
     bounds = [(-5.0, 1.0), (-25.0, 40.0)]
     bounds += [] if color is not None else [(_logit(DARKEST[kind]), _logit(BRIGHTEST))]
 
-    def curve(x: Sequence[float]) -> _Curve:
+    def curve(x: Float[np.ndarray, " n"]) -> _Curve:
         own = color if color is not None else 1 / (1 + math.exp(-x[2]))
         scatter, scale = math.exp(x[0]), math.exp(x[1])
         score = model.score(nodes, own, scale, scatter)
         return _Curve(roughness=roughness, score=score, color=own, scale=scale, scatter=scatter)
 
-    def loss(x: Sequence[float]) -> float:
+    def loss(x: Float[np.ndarray, " n"]) -> float:
         return -curve(x).score
 
     results = []

@@ -95,7 +95,7 @@ def open_scan(path: Path, scanner: Scanner | None = None) -> MaterialScan:
     if share < LEAST_MEASURED:
         raise GraycastError(
             f"{stack}: with rig {scanner.rig.name}, only {share:.0%} of the decoded pixels have a "
-            "depth: give the rig of this scan"
+            "depth: give the rig of this scan, or scan within its working range"
         )
     return MaterialScan(path=stack, result=result, scanner=scanner, exposure=_exposure(stack))
 

@@ -1,0 +1,92 @@
+"""Materials fitted to simulated scans of known materials, for docs/measurements/surfaces.md.
+
+python -m studies.known_materials out/known
+
+Each scan shows a heap of 20 built-in metal parts with the preset in a matt grey bin, whose reflectance of 0.5 is
+the reference. A folder that exists is continued.
+"""
+
+import argparse
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool
+
+import graycast as gc
+from graycast.base.errors import GraycastError
+from graycast.base.tables import markdown_table
+from graycast.real.material import MaterialFit, fit_material, open_scan, read_masks, scale_of
+from graycast.rig.pair import Rig
+from graycast.world.parts import MATERIALS
+
+GREY = 0.5
+APART_PX = 4  # The reference keeps this distance from the parts, whose light reaches the bin.
+NAMES = (
+    "aluminium-cast", "steel", "zinc", "copper", "brass", "cast-iron", "steel-black-oxide", "rust",
+    "plastic", "abs-black", "pom-black", "pom-white", "rubber", "paper", "cardboard",
+    "steel-polished", "stainless-polished", "chrome",
+)  # fmt: skip
+HEADINGS = ["material", "kind", "roughness", "fitted [95 %]", "base colour", "fitted [95 %]"]
+
+
+def scanned(name: str, rig: str, folder: Path) -> Path:
+    """Make the scan of a material, if it does not exist; return its scene."""
+    matt = {"base_color": (GREY,) * 3, "specular": 0.0, "roughness": 1.0}
+    config = gc.Config(
+        parts=(gc.PartSection(builtin="metal_workpiece_1", material=name),),
+        count=20,
+        rig=rig,
+        resolution="small",
+        bin={"inner_m": (0.30, 0.22, 0.08), "material": matt},
+        table=matt,
+        store={"frames": True},
+        render={"denoise": False},
+    )
+    out = folder / f"{rig}-{name}"
+    gc.generate(gc.load_cell(config), out, scenes=1, seed=5)
+    return out / "train" / "000000"
+
+
+def fitted(scene: Path) -> tuple[MaterialFit, Rig]:
+    """Fit the material of the parts of a scene, with the matt bin as the reference."""
+    scan = open_scan(scene / "frames")
+    parts = read_masks(sorted((scene / "mask_sl").glob("000000_*.png")))
+    scale = scale_of(scan.observations(_away_from(parts)), GREY)
+    return fit_material(scan.observations(parts), scale=scale, seed=0), scan.scanner.rig
+
+
+def _away_from(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    disc = np.ones((2 * APART_PX + 1,) * 2, dtype=np.uint8)
+    return cv2.dilate(parts.astype(np.uint8), disc) == 0
+
+
+def row_of(name: str, rig: str, folder: Path) -> list[str]:
+    """Return the true and the fitted numbers of a material, or the sentence that refuses it."""
+    material = MATERIALS[name].material
+    scene = scanned(name, rig, folder)
+    try:
+        fit, own = fitted(scene)
+    except GraycastError as error:
+        return [name, "refused", f"{material.roughness:g}", str(error).partition(":")[0], "", ""]
+    weights = np.array(own.band_weights) / sum(own.band_weights)
+    color = float(weights @ material.base_color)
+    cells = [
+        f"{number.value:.3f} ({number.low:.3f} to {number.high:.3f})"
+        for number in (fit.roughness, fit.color)
+    ]
+    return [name, fit.kind, f"{material.roughness:g}", cells[0], f"{color:.3f}", cells[1]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, help="A folder for the scans.")
+    parser.add_argument("--rig", default="like-phoxi-m", help="The preset of the scanner.")
+    parser.add_argument("--materials", nargs="+", default=NAMES, metavar="NAME", help="Presets.")
+    arguments = parser.parse_args()
+    rows = [row_of(name, arguments.rig, arguments.folder) for name in arguments.materials]
+    print(markdown_table(HEADINGS, rows))
+
+
+if __name__ == "__main__":
+    main()

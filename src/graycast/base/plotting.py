@@ -66,7 +66,7 @@ def _figure_of(ax: Axes) -> Figure:
 
 
 def legend_below(ax: Axes, *, columns: int, title: str = "") -> None:
-    """Explain the colours below the axes and their label, where no line can lie under the words."""
+    """Draw the legend below the axes and their label, where no plotted line can cross it."""
     place = ScaledTranslation(0, -_BELOW_IN, _figure_of(ax).dpi_scale_trans)
     ax.legend(
         loc="upper left",
@@ -88,7 +88,7 @@ def write_names(
     points: Float[np.ndarray, "n 2"],
     colors: Sequence[str],
 ) -> None:
-    """Write names beside points of the data, those first that come first; no two overlap.
+    """Write names next to data points; earlier names go first, and no two overlap.
 
     A name for which no side of its point has room is left out, and so is one of a point that is
     not a number. The limits of the axes must be final.

@@ -143,9 +143,9 @@ def _field_lines(kind: Any) -> Iterator[str]:
 
 
 def field_line(name: str, hint: Any, default: Any, meaning: str) -> str:
-    """Return the line of a help page about a field; MISSING is no default.
+    """Return a field's line on a help page; MISSING means no default.
 
-    The unit follows from the end of its name.
+    The unit follows from the end of the name.
     """
     words = name.split("_")
     ends = ("_".join(words[k:]) for k in range(1, len(words)))

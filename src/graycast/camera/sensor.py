@@ -254,7 +254,7 @@ def expose(
 
 
 def merge_exposures(captures: Sequence[Capture]) -> Capture:
-    """Merge several exposures of a still scene to one stack, with one exposure per pixel (HDR).
+    """Merge exposures of a still scene into one stack, with one exposure per pixel (HDR).
 
     All frames of a pixel come from the longest exposure in which none of them is saturated, or
     from the shortest exposure if all are saturated. The stored numbers do not change, so a pixel

@@ -218,7 +218,7 @@ def add_rig(parser: argparse.ArgumentParser, *, flag: bool = False) -> None:
 
 
 def add_division(parser: argparse.ArgumentParser, *, shares: str | None, usual: str = "") -> None:
-    """Add the options that divide a dataset; `usual` says what `shares` of None means."""
+    """Add the options that divide a dataset; `usual` describes the default in the help."""
     add_shared(parser, "--shares", default=shares, usual=usual or None)
     add_shared(parser, "--split-seed", default=0)
 

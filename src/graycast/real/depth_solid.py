@@ -201,7 +201,7 @@ _CORNER_PX = np.array([-0.45, -0.48])  # x and y from the centre of pixel (i, j)
 def _corners(
     planes: Planes, step_m: float
 ) -> tuple[Int[np.ndarray, "h1 w1 4"], Float[np.ndarray, " v"]]:
-    """Return the vertex of each pixel at each corner (-1 for none), and the inverse depths."""
+    """Return each corner's vertices for its four pixels (-1: none), and all inverse depths."""
     height, width = planes.shape[:2]
     value = np.full((height + 1, width + 1, 4), np.nan)
     for k, (down, right) in enumerate(_ABOUT):
@@ -351,7 +351,7 @@ def _joined(
 
 
 def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:
-    """Return the ground's depth at places of the picture; where it is unknown, the nearest."""
+    """Return the ground's depth at places in the picture, or the nearest known one."""
     unknown = ~np.isfinite(ground_m)
     if unknown.all():
         return np.zeros(len(pixel))
@@ -360,6 +360,6 @@ def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> 
 
 
 def from_nearest(image: np.ndarray, missing: Bool[np.ndarray, "_ _"]) -> np.ndarray:
-    """Return the image with the value of the nearest pixel that has one where one is missing."""
+    """Return the image with each missing value replaced by the nearest known one."""
     nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     return image[tuple(nearest)]

@@ -1,4 +1,4 @@
-"""Averaging of all camera pixels that see the same projector pixel to one point."""
+"""Average all camera pixels that see the same projector pixel into one point."""
 
 from dataclasses import dataclass
 

@@ -96,7 +96,7 @@ def decode_stack(
     """Decode the stack that a YAML file describes.
 
     With a rig, depth is computed from the coded axis along the baseline, and the other axis serves
-    as a check. `average` joins the camera pixels of each projector pixel to one point of the
+    as a check. `average` joins the camera pixels of each projector pixel into one point of the
     cloud, and leaves the depth map unchanged. `filters` apply to depth, but not to averaged clouds.
 
     Raises:

@@ -83,7 +83,7 @@ class Encoding:
         return 3 * self.coloured + deep * self.deep
 
     def scale(self, picture_px: tuple[int, int]) -> float:
-        """Return pixels of the input in a pixel of a picture of that height and width."""
+        """Return the scale from a picture of that height and width to the input."""
         return min(self.size_px[0] / picture_px[0], self.size_px[1] / picture_px[1])
 
     def encode(self, example: Example, *, seed: int) -> Float32[np.ndarray, "c h w"]:
@@ -141,7 +141,7 @@ class Encoding:
     def _relief(
         self, weighted: Float32[np.ndarray, "h w"], share: Float32[np.ndarray, "h w"]
     ) -> Float32[np.ndarray, "h w"]:
-        """Height over the mean of the neighbourhood's known depth, towards the camera positive."""
+        """Return the height above the mean known depth nearby, positive towards the camera."""
         side = 2 * round(max(self.size_px) * _RELIEF_WINDOW / 2) + 1
         window = (side, side)
         known = cv2.blur(share, window, borderType=cv2.BORDER_REFLECT_101)
@@ -162,7 +162,7 @@ class Encoding:
 
 
 def encoding_from(record: Mapping[str, Any]) -> Encoding:
-    """Return the encoding of which JSON holds the fields."""
+    """Return the encoding whose fields are given."""
     return Encoding(**{**record, "size_px": tuple(record["size_px"])})
 
 
@@ -174,11 +174,11 @@ def fitting_size(picture_px: tuple[int, int], longest_px: int) -> tuple[int, int
 
 
 def noisy(depth_m: Float32[np.ndarray, "h w"], *, seed: int) -> Float32[np.ndarray, "h w"]:
-    """Return perfect depth with the noise of most simulators: Gaussian of 1 mm, 5 % in round holes.
+    """Return depth with the usual simulated noise: 1 mm (Gaussian), and round holes in 5 % of it.
 
     It serves for comparison only: its holes do not depend on the light. The noise follows from the
-    seed and from the picture, so that two pictures of one seed, as images of one scene or those of
-    a training and of its validation, do not share it.
+    seed and from the picture, so that two pictures with one seed, such as two images of a scene,
+    or one for training and one for validation, do not share it.
     """
     picture = zlib.crc32(depth_m.tobytes())
     rng = np.random.default_rng([seed, 0x6E6F6973, picture])

@@ -118,9 +118,9 @@ class MaskRcnn(Network):
 
 @final
 class _Proposals(RegionProposalNetwork):
-    """Proposals, of which those on ignored instances are neither right nor wrong.
+    """A proposal network whose training leaves out proposals on ignored instances.
 
-    The second stage does as much by itself: it leaves proposals out that match the label -1.
+    The second stage needs no change: it leaves out proposals that match the label -1.
     """
 
     def assign_targets_to_anchors(
@@ -136,7 +136,7 @@ class _Proposals(RegionProposalNetwork):
 
 
 def _covered(box: Float[Tensor, "n 4"], by: Float[Tensor, "m 4"]) -> Float[Tensor, " n"]:
-    """Return the largest share of each box that is covered by a single one of the others."""
+    """Return the largest share of each box that any one of the other boxes covers."""
     low = torch.maximum(box[:, None, :2], by[None, :, :2])
     high = torch.minimum(box[:, None, 2:], by[None, :, 2:])
     shared = (high - low).clamp(min=0).prod(dim=2)

@@ -41,7 +41,7 @@ NMS_SIGMA = 2.0
 
 @final
 class Solov2(Network):
-    """Finds masks, and boxes as what encloses them.
+    """Finds masks and the boxes that enclose them.
 
     With `resnet50` it is the paper's SOLOv2, with `resnet18` its SOLOv2-light; the small backbones
     carry a head of half that width.
@@ -74,7 +74,7 @@ class Solov2(Network):
         Float[Tensor, "b cells kernel"],
         Float[Tensor, "b kernel h4 w4"],
     ]:
-        """Scores (logits) and kernels of every cell of every level, and the map they read."""
+        """Return scores (logits) and kernels of all levels' cells, and the map they use."""
         maps = OrderedDict((str(i), m) for i, m in enumerate(self.body(image)))
         levels = list(self.pyramid(maps).values())
         painted = self.painter(levels[:4])
@@ -91,7 +91,7 @@ class Solov2(Network):
     def losses(
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
-        """Focal loss over all cells, Dice loss over the cells that instances claim."""
+        """Return the focal loss of all cells, and the Dice loss of claimed cells."""
         score, kernel, painted = self(image)
         labels = torch.full(score.shape[:2], self.classes, device=score.device)
         counts = torch.ones_like(labels, dtype=torch.bool)
@@ -115,7 +115,7 @@ class Solov2(Network):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Return masks that Matrix NMS leaves with enough score."""
+        """Return the masks with enough score after Matrix NMS."""
         answers = zip(*self(image), strict=True)
         return [self._find(*answer, most=most, least_score=least_score) for answer in answers]
 
@@ -186,20 +186,20 @@ def _tower(inside: int, width: int, depth: int, outside: int) -> nn.Sequential:
 
 
 def _with_place(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c2 h w"]:
-    """Two more channels: x and y, from -1 at the first pixel to 1 at the last (CoordConv)."""
+    """Append channels x and y, from -1 at the first pixel to 1 at the last (CoordConv)."""
     y, x = (torch.linspace(-1, 1, side, device=maps.device) for side in maps.shape[-2:])
     place = torch.stack(torch.meshgrid(x, y, indexing="xy")).to(maps.dtype)
     return torch.cat([maps, place.expand(len(maps), -1, -1, -1)], dim=1)
 
 
 def _quarter(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n h4 w4"]:
-    """Masks at the stride of the map: where the middle four of 4 x 4 pixels are half full."""
+    """Return masks at the map's stride: set if two of the middle four of 4 x 4 pixels are."""
     middle = [slice(first, None, MASK_STRIDE) for first in (1, 2)]
     return (sum(mask[:, row, column].int() for row in middle for column in middle) >= 2).float()
 
 
 def _claims(target: Target) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
-    """Pairs of an instance and a cell that it claims, level by level, in the instances' order."""
+    """Return pairs (instance, cell that it claims), level by level, in the instances' order."""
     mask = target.masks()
     size = torch.tensor([mask.shape[2], mask.shape[1]], device=mask.device)
     sides = target.box[:, 2:] - target.box[:, :2]
@@ -234,7 +234,7 @@ def _centre_of_mass(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n 2"]:
 
 
 def _dice(mask: Float[Tensor, "n h w"], truth: Float[Tensor, "n h w"]) -> Float[Tensor, " n"]:
-    """One minus twice the overlap over the sum of squares (Milletari et al., V-Net, 2016)."""
+    """Return 1 minus twice the overlap over the sum of squares (Milletari et al., V-Net, 2016)."""
     both = (mask * truth).sum(dim=(1, 2))
     return 1 - 2 * both / (
         mask.square().sum(dim=(1, 2)) + truth.square().sum(dim=(1, 2)) + 2 * DICE_EPS
@@ -242,7 +242,7 @@ def _dice(mask: Float[Tensor, "n h w"], truth: Float[Tensor, "n h w"]) -> Float[
 
 
 def _focal(logit: Float[Tensor, "n k"], truth: Float[Tensor, "n k"]) -> Float[Tensor, ""]:
-    """Cross-entropy, small where the answer is right already (Lin et al., 2017)."""
+    """Return cross-entropy, small where the answer is right already (Lin et al., 2017)."""
     score = logit.sigmoid()
     wrong = (truth - score).abs()
     weight = FOCAL_ALPHA * truth + (1 - FOCAL_ALPHA) * (1 - truth)
@@ -251,7 +251,7 @@ def _focal(logit: Float[Tensor, "n k"], truth: Float[Tensor, "n k"]) -> Float[Te
 
 
 def _peaks(score: Float[Tensor, "cells classes"]) -> Float[Tensor, "cells classes"]:
-    """Zero where the cell above, to the left, or both, has a higher score of the class."""
+    """Return scores, 0 where the cell above, left or above-left has a higher one."""
     out = []
     for level in score.split([grid * grid for grid in GRIDS]):
         grid = round(len(level) ** 0.5)

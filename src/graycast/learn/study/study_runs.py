@@ -49,13 +49,13 @@ class StudyRun:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Result:
-    """A run's figures: of each world and kind, one for each of the world's datasets."""
+    """A run's figures by world and kind, one for each of the world's datasets."""
 
     run: StudyRun
     figures: dict[tuple[str, str], tuple[BootstrapFigure, ...]]
 
     def of(self, world: str, kind: str, number: int | None = None) -> BootstrapFigure | None:
-        """Return a world's figure: of its dataset of that number, else the mean over all.
+        """Return the figure of a world's dataset `number`, or else the mean over all.
 
         None where the run or the world has no masks, or the world no such dataset.
         """
@@ -169,7 +169,7 @@ def _detections(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _World:
-    """Labels of each of a world's datasets, and the kinds of shapes that can be compared there."""
+    """Labels of a world's datasets, and the kinds of shapes that can be compared there."""
 
     labels: tuple[tuple[Labels, ...], ...]
     kinds: tuple[Kind, ...]

@@ -207,7 +207,7 @@ def _window(
 
 
 def _first_guess(position, px_per_square, offset, value, weight) -> Float[np.ndarray, "n 9"]:
-    """(x, y, two angles of normals, blur, mean, contrast, gradient x, y) of each corner."""
+    """Return (x, y, two normals' angles, blur, mean, contrast, gradient x, y) of each corner."""
     n = len(position)
     normal = np.arctan2(px_per_square[:, 0], -px_per_square[:, 1])  # angles of the edges' normals
     guess = np.zeros((n, 9))

@@ -32,7 +32,7 @@ class Grid:
 
     @cached_property
     def ray(self) -> Float[np.ndarray, "rows columns 3"]:
-        """Camera frame, unit z."""
+        """Rays in the camera frame, with z = 1."""
         return picture_rays(self.camera)
 
     @cached_property
@@ -75,10 +75,10 @@ class BinView:
         return Grid(camera=coarse, depth_m=depth_m)
 
     def cloud(self, count: int = 20_000) -> Float[np.ndarray, "n 6"]:
-        """Return about `count` measured points, evenly over the picture: place [m], unit normal.
+        """Return place [m] and unit normal of about `count` points, evenly over the picture.
 
-        Camera frame, normals towards the camera. Pixels beside a gap have no normal and are left
-        out.
+        Both are in the camera frame; normals point to the camera. Pixels beside a gap have no
+        normal and are left out.
         """
         height_px, width_px = self.depth_m.shape
         known = np.isfinite(self.depth_m).mean()
@@ -94,7 +94,7 @@ class BinView:
         return both[np.isfinite(both).all(axis=-1)]
 
     def step(self, across: int) -> int:
-        """Return the n with which every n-th pixel makes about `across` along the longer side."""
+        """Return the n for which every n-th pixel gives about `across` on the longer side."""
         return max(1, round(max(self.depth_m.shape) / max(across, 1)))
 
 
@@ -107,7 +107,7 @@ def read_views(
         paths: depth files, folders in the form of `import_real`, and scene folders of our datasets,
             which bring their own camera and colours.
         rgb: a picture for each depth file in the same order, or none.
-        own: the configuration's camera: of files of its size where nothing else is said.
+        own: the configuration's camera, for files of its size that name no other.
 
     Raises:
         GraycastError: a file is missing, damaged or of another form, or cameras differ.

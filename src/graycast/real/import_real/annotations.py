@@ -1,4 +1,4 @@
-"""Hand-polygons labels: COCO and LabelMe files as masks with a name.
+"""Hand-drawn labels: COCO and LabelMe files read as named masks.
 
 Coordinates of both count from the corner of the image, half a pixel before this package's own:
 pixel (0, 0) covers [0, 1] x [0, 1]. Polygons become masks as pycocotools rasterises them. LabelMe's
@@ -49,18 +49,18 @@ class Annotation:
 
 
 def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Annotation], list[str]]:
-    """Return the labels of pictures by the stems of their files, and all names in their order.
+    """Return the pictures' labels by file stem, and the names of all objects in order.
 
     Args:
         path: a COCO file, or a folder with one, or a folder of LabelMe files named as the pictures.
             Hidden files are not read: macOS leaves some beside each file.
-        stems: of the pictures.
+        stems: the pictures' file stems.
 
     Returns:
         COCO's names are ordered by category id, LabelMe's by the alphabet.
 
     Raises:
-        DatasetError: it is neither, or a picture has no annotation, or a shape is not to be used.
+        DatasetError: it is neither, or a picture has no annotation, or a shape cannot be used.
     """
     if path.is_dir():
         files = [file for file in visible_entries(path) if file.suffix == ".json"]
@@ -118,7 +118,7 @@ def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
 
 
 def _stem(file_name: str) -> str:
-    """Return the name of a picture without folders, also Windows' with backslashes, and ending."""
+    """Return a picture's name without ending and folders, even those with backslashes."""
     return Path(file_name.replace("\\", "/")).stem
 
 
@@ -289,7 +289,7 @@ def _beyond_px(points: Float[np.ndarray, "_ 2"], size: tuple[int, int], name: st
 
 
 def _rasterised(points: Float[np.ndarray, "_ 2"], size: tuple[int, int]) -> Runs:
-    """Run lengths of a polygon, which is cut at the border of the picture.
+    """Return a polygon's run lengths, cut at the border of the picture.
 
     pycocotools places corners with negative coordinates wrongly, so the picture gets a margin.
     """
@@ -300,7 +300,7 @@ def _rasterised(points: Float[np.ndarray, "_ 2"], size: tuple[int, int]) -> Runs
 
 
 def _united(pieces: Sequence[Runs], name: str) -> Runs:
-    """Run lengths of the union of some; an empty one is refused."""
+    """Return the union of some run lengths; refuse an empty one."""
     runs = coco_mask.merge([dict(piece) for piece in pieces])
     if coco_mask.area(runs) == 0:
         raise DatasetError(f"{name}: covers no pixel: draw it again, or remove it")

@@ -59,7 +59,7 @@ def import_real(
         files: what they do not say; the distortion is that of pictures, which stay as they are.
         annotations: a COCO file or a folder of LabelMe's; `folder/annotations` where it is None.
         labelled: False takes pictures without annotations; the dataset then has no masks.
-        names: of the objects in the order of their ids, such as those of a simulated dataset.
+        names: the objects' names in the order of their ids, such as those of a simulated dataset.
         range_m: near and far end of the range of a scanner like this one; depth far outside of it
             is refused.
         progress: counts pictures.
@@ -125,7 +125,7 @@ def _object_names(own: Sequence[str], names: Sequence[str] | None) -> list[str]:
 
 
 def _cut_notes(labels: Mapping[str, Annotation]) -> tuple[str, ...]:
-    """Say which pictures have outlines that lead out of them."""
+    """Return a note if outlines extend beyond their pictures."""
     beyond = {stem: each.beyond_px for stem, each in labels.items() if each.beyond_px > 0}
     if not beyond:
         return ()

@@ -16,7 +16,7 @@ _MARGIN = 0.25  # A flyer differs from surfaces and neighbours by this share of 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepCounts:
-    """Counts of one map, which add up over maps."""
+    """Numbers of steps and flying pixels in a map; those of several maps can be added."""
 
     right_farther: int
     left_farther: int
@@ -53,7 +53,7 @@ def count_steps(scan: DepthScan) -> StepCounts:
 
 
 def _jumps(inverse: Float[np.ndarray, "h w"], share: float) -> tuple[int, int]:
-    """Jumps along the rows of 1/z whose right side is farther, and whose left side is."""
+    """Return jumps along rows of 1/z: those that are farther on the right, and on the left."""
     right = left = 0
     for between in (0, 1):  # flyers
         length = 4 + between

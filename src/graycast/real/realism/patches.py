@@ -159,7 +159,7 @@ def correlation(
 def _some_pixels(
     depth_m: Float[np.ndarray, "h w"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """(x, y, 1) and depth of the valid ones among `_SAMPLED` pixels."""
+    """Return (x, y, 1) and depth of the valid ones among `_SAMPLED` pixels."""
     height, width = depth_m.shape
     y, x = rng.integers(0, height, _SAMPLED), rng.integers(0, width, _SAMPLED)
     known = ~np.isnan(depth_m[y, x])

@@ -1,4 +1,4 @@
-"""Report about a set of depth maps, as values that JSON holds; None is unknown."""
+"""Report on a set of depth maps, as values for JSON; None means unknown."""
 
 from pathlib import Path
 

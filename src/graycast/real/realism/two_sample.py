@@ -42,7 +42,7 @@ class Auc:
 class TwoSample:
     """The AUC of two sets and of the first set's maps against each other, by place.
 
-    `score` is, by place, how much each square of both sets looks like one of the second, by a
+    `score` is, by place, how much each square of both sets looks like the second, judged by a
     forest that has not seen its map.
     """
 
@@ -64,7 +64,7 @@ def two_sample_test(
     """Compare two sets by squares of maps that were left out of the learning.
 
     Args:
-        names: of the sets, in the table.
+        names: the sets' names in the table.
 
     Raises:
         GraycastError: scikit-learn is not installed, or a set has fewer than two maps.
@@ -91,12 +91,12 @@ def two_sample_test(
 
 
 def sensor_auc(first: Squares, second: Squares, place: str, *, seed: int) -> float | None:
-    """Return the AUC of squares at one place."""
+    """Return the AUC of a classifier that distinguishes two sets' squares at one place."""
     return _auc(first.at(place), second.at(place), seed)[0].mean
 
 
 def depth_step_m(scans: Sequence[DepthScan]) -> float:
-    """Return the step in which a set's files hold depth [m]; 0 of floats.
+    """Return the step of depth in a set's files [m]; 0 for floats.
 
     The least difference between the values of a map, where all differences are multiples of it.
     """
@@ -171,7 +171,7 @@ def _against_itself(squares: Squares, seed: int) -> Auc:
 
 
 def _folds(squares: Squares) -> np.ndarray:
-    """Maps in turn, so that a fold's maps are seen whole or not at all."""
+    """Return each square's fold; all squares of a map share one."""
     order = {scan: k for k, scan in enumerate(sorted(set(squares.scan.tolist())))}
     folds = max(2, min(_FOLDS, len(order)))
     return np.array([order[scan] % folds for scan in squares.scan.tolist()], dtype=int)

@@ -1,4 +1,4 @@
-"""Images of a dataset that others made, whatever its layout, and what its own files leave open.
+"""Images of a dataset that others made, whatever its layout, and what its files do not state.
 
 Frames: `T_cam_part` takes a model's coordinates [m] to OpenCV's camera frame (x right, y down, z
 forward). Depth is z of that frame in metres.
@@ -83,10 +83,10 @@ class SourceImage:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """A dataset of others, or one of its splits; images are read when they are asked for.
+    """A third-party dataset, or one of its splits; images are read on demand.
 
     Attributes:
-        folder: of the split in BOP's form, or of the whole dataset in another layout.
+        folder: the split's folder in BOP's form, the whole dataset's in another layout.
         split: its name in the result, such as `train_pbr`.
         images: scene and image numbers, in order.
         parts: the objects by their ids, in metres and with their look; empty without models.
@@ -98,7 +98,7 @@ class Source:
             link; empty in another layout.
         background: the material of what is no object; with None, it looks as the pictures do.
         notes: sentences about what was found out, or looks wrong.
-        options: with which the dataset was opened.
+        options: the options used to open the dataset.
     """
 
     folder: Path
@@ -124,7 +124,7 @@ class Source:
         return self.image_of(scene_id, image_id)
 
     def sums(self, scene_id: int, image_ids: Iterable[int]) -> dict[int, dict[str, str]]:
-        """Return the SHA-256 of all from which the scan of each image follows, by its name.
+        """Return the SHA-256 of all that the scan of each image depends on, by name.
 
         Raises:
             DatasetError: a file is missing or damaged; the text names it.
@@ -145,7 +145,7 @@ def _sums_of(image: SourceImage) -> dict[str, str]:
 
 
 def _state(value: Any) -> Any:
-    """Return a value for JSON, and the SHA-256 of an array in its place."""
+    """Return a value for JSON; an array becomes its shape, type and SHA-256."""
     if not isinstance(value, np.ndarray):
         return value
     return [value.shape, str(value.dtype), sha256(np.ascontiguousarray(value).tobytes())]

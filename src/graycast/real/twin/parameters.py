@@ -112,7 +112,7 @@ def with_values(
 
 
 def value_of(scanner: Scanner, parameter: Parameter) -> float:
-    """The scanner's own value; the bound at which it is off, where it is off or not there."""
+    """Return the scanner's value; if it is off or missing, the bound that means off."""
     if parameter.key in OF_BIN:
         return 0.0 if parameter.key == BIN_ROUGHNESS else 1.0
     value: Any = scanner
@@ -127,7 +127,7 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
 
 
 def shares_of(scanner: Scanner, parameters: Sequence[Parameter]) -> Float[np.ndarray, " n"]:
-    """Return the places of the scanner's own values between the bounds."""
+    """Return the scanner's values as shares, 0 to 1, of the way between their bounds."""
     return np.array([p.share(value_of(scanner, p)) for p in parameters])
 
 

@@ -1,6 +1,6 @@
 """The statistics that a twin is to share with the real scans: one row each, a number per scan.
 
-The twin scans the scenes of the real scans, so all of them are the sensor's doing.
+The twin scans the scenes of the real scans, so every difference is due to the sensor.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -56,7 +56,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """A set's rows, a number per scan; NaN where a scan cannot tell.
+    """The statistics of a set of scans: a number per scan, NaN if it cannot be found.
 
     `places` are where missing depth was counted; without them it was in the whole frame.
     """
@@ -66,7 +66,7 @@ class Figures:
 
     @property
     def scans(self) -> int:
-        """Number of scans from which the figures are."""
+        """Number of scans behind the figures."""
         return len(next(iter(self.value.values())))
 
 
@@ -79,7 +79,7 @@ def figures_of(
 
     Args:
         floor: the plane of `find_floor`, None where none was found.
-        places: of `missing_places`, or none.
+        places: from `missing_places`, or none.
     """
     with ThreadPoolExecutor(max_workers=1) as pool:
         each = list(pool.map(lambda scan: _one(scan, floor, places or {}), scans))
@@ -103,10 +103,10 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
 
 
 def pulls_of(rows: Sequence[Row]) -> Float[np.ndarray, " n"]:
-    """Return by how many spreads each row is off; far rows count by their logarithm.
+    """Return each row's deviation in spreads; large ones are compressed logarithmically.
 
-    A few rows that no twin meets shall not decide alone, but a bound that is flat would hide which
-    way leads nearer to them: the search would stay where many rows are far off.
+    A few rows that no twin meets must not dominate, but a flat bound would hide which direction
+    brings them nearer: the search would stay where many rows are far off.
     """
     off = np.array([row.off for row in rows])
     return _FAR_Z * np.arcsinh(off / _FAR_Z)

@@ -1,4 +1,4 @@
-"""The second back end: Blender Cycles, one render for each projected pattern, as in the paper.
+"""The second back end: Blender Cycles, which renders each projected pattern separately.
 
 Cycles has its own Python environment (`make cycles`) and runs in a child process. The modules here
 run in Graycast's process (`renderer.CyclesRenderer`); those of `worker/` run in the child.

@@ -67,7 +67,7 @@ class Jaws:
 
 
 class PadContact(NamedTuple):
-    """Return where closed jaws touch a mesh.
+    """Contact of closed jaws with a mesh.
 
     `aside_m` is how far aside the middle between the pads lies along x. `slope` is the steeper
     tangent between the jaws' axis and the normal of what a pad touches. `ahead_m` is how far before
@@ -80,7 +80,7 @@ class PadContact(NamedTuple):
 
     @property
     def on_pads(self) -> bool:
-        """Whether the pads touch, because they give by more than the fingers meet before them."""
+        """Whether the pads touch: they give by at least `ahead_m`."""
         return self.ahead_m <= PAD_GIVES_M
 
 
@@ -95,7 +95,7 @@ def jaw_load_factor(
     Forces along the axis are held by the drive.
 
     Args:
-        force_n: that pulls at the part, in the tool's frame.
+        force_n: the force on the part, in the tool's frame.
         moment_nm: its moment about the tool's origin.
     """
     demand = np.sqrt(
@@ -118,7 +118,7 @@ def jaw_places(
     chances: int = 24,
     seed: int = 0,
 ) -> list[Grip]:
-    """Return all places around which open fingers fit, also those where they do not hold.
+    """Return all places where open fingers fit, even those where they do not hold.
 
     They hold where both normals lie in the cone of friction about the line between the pads, and no
     point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
@@ -130,8 +130,8 @@ def jaw_places(
     Args:
         center_m: the part's centre of mass.
         count: places that are tried, evenly over the surface.
-        chances: of each grip.
-        seed: of the chances.
+        chances: their number for each grip.
+        seed: for the chances.
     """
     rng = np.random.default_rng(seed)
     point, normal = spread_points(mesh, count)
@@ -194,7 +194,7 @@ def closing(
     more than `PAD_GIVES_M` before this plane keeps the pad off the part.
 
     Args:
-        opening_m: between the open pads; left out: as far as they open.
+        opening_m: between the open pads; by default, as far as they open.
     """
     around = 2 * np.pi * np.arange(PAD_LINES) / PAD_LINES
     across = [np.zeros((1, 2))]
@@ -264,7 +264,7 @@ def _in_the_way(
 
 @kernel()
 def _far_side(origin, way, a, ab, ac, most_m):
-    """Distance along each ray to the last triangle that it crosses up to there; -1 for none."""
+    """Return distance and index of each ray's last triangle within `most_m`; -1 for none."""
     distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)
     for i in range(len(origin)):
         for f in range(len(a)):

@@ -97,12 +97,12 @@ def seals(
     aside_m: Float[np.ndarray, "k 2"],
     lean: Float[np.ndarray, "k 2"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Return the two numbers of `Seal` for a cup that deviates from the tool's axis.
+    """Return `strain` and `open_share` of cups that deviate from the tool's axis.
 
     Args:
         patch: the surface about the tool's axis.
-        aside_m: where the cup's middle is instead, along x and y.
-        lean: slopes of the lip's plane along x and y, small ones.
+        aside_m: offsets of the cup's middle along x and y.
+        lean: small slopes of the lip's plane along x and y.
 
     Raises:
         ValueError: the patch ends under the cup.
@@ -142,7 +142,7 @@ def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
 
 @kernel()
 def _between(height_m, place):
-    """Interpolate bilinearly, in steps from the middle; NaN outside the grid or next to a gap."""
+    """Interpolate at a place in steps from the middle; NaN outside or next to a gap."""
     x, y = place[0] + len(height_m) // 2, place[1] + len(height_m) // 2
     j, i = math.floor(x), math.floor(y)
     if min(i, j) < 0 or max(i, j) >= len(height_m) - 1:
@@ -183,9 +183,9 @@ def load_factor(
     - tilt: a moment M across the axis lifts one side of a rigid ring where M = N r / 2.
 
     Args:
-        force_n: that pulls at the part, in the tool's frame.
+        force_n: the force on the part, in the tool's frame.
         moment_nm: its moment about the tool's origin.
-        friction: left out: the cup's.
+        friction: by default, the cup's.
 
     Returns:
         The largest factor of the load at which all three hold; infinity where no load is too much.

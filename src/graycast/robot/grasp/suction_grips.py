@@ -36,7 +36,7 @@ def suction_places(
     count: int = 200,
     seed: int = 0,
 ) -> list[Grip]:
-    """Return every place that is tried, also where a cup does not hold, in order over the surface.
+    """Return all places that are tried, in order over the surface, even if a cup fails there.
 
     A place's score is its robustness with the tool's axis upright and leaning by up to
     30 degrees to four sides, the least of the five: how the part will lie is not known yet.
@@ -44,7 +44,7 @@ def suction_places(
     Args:
         center_m: the part's centre of mass.
         count: places that are tried, evenly over the surface.
-        seed: of the doubts.
+        seed: for the doubts.
     """
     points, normals = spread_points(mesh, count)
     places = []
@@ -93,9 +93,9 @@ class SuctionSearch:
     The cup stands along the normal of the plane through what lies under it.
 
     Attributes:
-        weight_n: of what is lifted.
+        weight_n: weight of what is lifted.
         doubt: what is not known.
-        most_lean_rad: between the tool's axis and the vertical.
+        most_lean_rad: largest angle between the tool's axis and the vertical.
     """
 
     view: DepthView
@@ -112,14 +112,14 @@ class SuctionSearch:
         count: int = 60,
         seed: int = 0,
     ) -> list[GripEstimate]:
-        """Grips within a mask, best first; none where nothing would hold.
+        """Return grips within a mask, best first; none if nothing would hold.
 
         Args:
             mask: where the cup's middle may go: one part, or the whole bin.
             one_part: whether the mask is of one part: then its centre of mass is taken to be in
                 the middle of the mask's points, else under the cup, wherever that is.
             count: places in each of three rounds.
-            seed: of places and doubts.
+            seed: for places and doubts.
         """
         rng, depth_m = np.random.default_rng(seed), self.view.depth_m
         rows, columns = np.nonzero(mask & np.isfinite(depth_m))

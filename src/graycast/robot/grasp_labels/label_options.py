@@ -16,7 +16,7 @@ class ToolFile(Settings):
 
 
 class Labelling(Settings):
-    """Options of a set of labels; with another value it is another set."""
+    """Options of a set of labels; other values make another set."""
 
     tool: AnyTool
     places: int = Field(
@@ -47,7 +47,7 @@ class Labelling(Settings):
 
 
 def read_tool(path: Path) -> AnyTool:
-    """The tool of a file: a robot's cell, of which only `tool` is read, or that section alone.
+    """Read a file's tool; the file is a robot's cell, or has the section `tool` alone.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or its tool has a wrong key.

@@ -58,10 +58,10 @@ def choose(
     for the arm, or too steep, is so all round.
 
     Args:
-        q: joint angles where the arm is.
-        tabu: where grips failed before.
-        blocked: to where no way was found before.
-        seed: of places and plans.
+        q: the arm's present joint angles.
+        tabu: places where grips failed before.
+        blocked: places to which no way was found before.
+        seed: for places and plans.
     """
     picking = ready.cell.config.picking
     why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
@@ -104,7 +104,7 @@ def choose(
 
 
 def _together(groups: Sequence[Sequence[Candidate]], count: int) -> Iterator[Sequence[Candidate]]:
-    """Batches of targets of one group."""
+    """Yield batches of targets; each batch is from one group."""
     for group in groups:
         for start in range(0, len(group), count):
             yield group[start : start + count]
@@ -119,7 +119,7 @@ def _near(
 def _aims(
     ready: Ready, targets: Sequence[Candidate], view: DepthView, seed: int, posed: list[Candidate]
 ) -> list[Aim]:
-    """Grips on some targets; those on which grips were looked for are added to `posed`."""
+    """Return grips on some targets; add the targets that were searched for grips to `posed`."""
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
     search = ready.tool.in_depth

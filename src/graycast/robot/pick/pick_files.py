@@ -35,7 +35,7 @@ _LOCK = ".lock"
 
 
 def episode_files(episode: Episode) -> tuple[tuple[str, bytes], ...]:
-    """(path inside the bin's folder, content)."""
+    """Return (path inside the bin's folder, content) of each file."""
     attempts = episode.attempts
     record = {
         "bin_id": episode.bin_id,

@@ -31,14 +31,14 @@ class Window(NamedTuple):
 
 
 class Canvas(NamedTuple):
-    """Picture drawn in a window: depth (infinite where it is empty) and face (-1 there)."""
+    """Depth and face at each pixel of a window; infinity and -1 where it is empty."""
 
     depth: Float[np.ndarray, "h w"]
     face: Int[np.ndarray, "h w"]
 
 
 def lens(camera: Optics) -> np.ndarray:
-    """A camera as the numbers that compiled code takes: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    """Return a camera as numbers for compiled code: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     focal = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]
     return np.array([*focal, *camera.distortion], dtype=np.float64)
 

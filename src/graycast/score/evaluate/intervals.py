@@ -63,9 +63,9 @@ class Interval:
 def draw_scenes(
     scene_of: Sequence[int], *, seed: int, draws: int = DRAWS
 ) -> Int[np.ndarray, "draws pictures"]:
-    """Return the weight of each picture in each draw: that of its scene.
+    """Return how often each draw contains each picture's scene.
 
-    Equal for results of equally many scenes. `scene_of` is the scene of each picture.
+    Draws are equal for results of equally many scenes. `scene_of` is the scene of each picture.
     """
     ids, place = np.unique(np.asarray(scene_of), return_inverse=True)
     even = np.full(len(ids), 1 / len(ids))

@@ -60,7 +60,7 @@ class GroupRow:
 
     Attributes:
         by: `all`, `class`, or what the group is made by.
-        name: the part's, or the group's.
+        name: name of the part or group.
         to_find: instances that count there.
         figures: `FIGURES` of the scores or of poses, with their intervals.
     """
@@ -74,12 +74,12 @@ class GroupRow:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """Everything about one kind of outline.
+    """All results for boxes, or all for masks.
 
     Attributes:
         rows: all instances first, then classes, then groups.
-        against: `FIGURES` less those of the other results; None where there are none.
-        point: the working point that misses and false alarms are of.
+        against: `FIGURES` minus those of the other results; None without other results.
+        point: the working point of `misses` and `false_alarms`.
     """
 
     kind: Kind

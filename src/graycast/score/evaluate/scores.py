@@ -36,10 +36,10 @@ class Scores:
     Attributes:
         ap: average precision, the mean over thresholds of 0.50 to 0.95 and over the classes.
         ap50: at a threshold of 0.50; `ap75` at 0.75.
-        ar: share of the instances that are found, the mean over the same.
-        scene_ids: of the pictures, in the order that `matches` has them.
-        scene_of: the scene that each of them is of; several views of a scene share one.
-        matches: of each class, what intervals and pictures of mistakes need.
+        ar: share of the instances that are found, the mean over the same thresholds and classes.
+        scene_ids: ids of the pictures, in the order of `matches`.
+        scene_of: the scene of each picture; several views of a scene share one.
+        matches: by class, what intervals and pictures of mistakes need.
     """
 
     ap: float
@@ -56,7 +56,7 @@ class Scores:
 
     @property
     def to_find(self) -> int:
-        """Instances that were to be found, of all classes."""
+        """Number of instances to find in all classes."""
         return int(sum(one.to_find.sum() for one in self.matches.values()))
 
 
@@ -66,8 +66,8 @@ def score(
     """Judge the detections of some scenes by their labels.
 
     Args:
-        labels: of each scene once, in any order.
-        detections: of the same scenes, also where nothing was found.
+        labels: one for each scene, in any order.
+        detections: one for each of these scenes, even if nothing was found.
         kind: whether boxes or masks are compared.
         most: how many detections of a scene and a class count, best first.
 
@@ -119,7 +119,7 @@ def _mean_of_known(value: Float[np.ndarray, "classes draws t"]) -> Float[np.ndar
 
 
 def precision_curves(matches: ClassMatches) -> Float[np.ndarray, "t recalls"]:
-    """Highest precision at each of `RECALLS` or above, for each threshold; NaN if none to find."""
+    """Return the highest precision at each of `RECALLS` or above; NaN with nothing to find."""
     curves = np.full((len(matches.hit), len(RECALLS)), np.nan)
     if wanted := int(matches.to_find.sum()):
         times = np.ones(len(matches.scene), dtype=np.int64)
@@ -141,7 +141,7 @@ def _runs(matches: ClassMatches) -> Int[np.ndarray, " runs"]:
 def class_figures(
     matches: ClassMatches, times: Int[np.ndarray, "draws scenes"]
 ) -> tuple[Float[np.ndarray, "draws t"], Float[np.ndarray, "draws t"]]:
-    """Average precision and recall of a class at each threshold.
+    """Return average precision and recall of a class by threshold.
 
     Args:
         times: how often each scene counts in each draw.

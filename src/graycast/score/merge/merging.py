@@ -1,4 +1,4 @@
-"""The clouds of a dataset's scenes, and what their views add, as files."""
+"""Write a merged cloud for each scene, and figures on what each view adds."""
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
@@ -77,7 +77,7 @@ def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> di
 
 
 def described(surface: Mapping[str, Any]) -> Iterator[str]:
-    """Lines about one of the `surfaces` of `merge.json`."""
+    """Yield lines about one of the `surfaces` of `merge.json`."""
     views = surface["views"]
     yield (
         f"of the parts' surface {_share(surface['visible'])} is visible to a camera, and of that "
@@ -118,7 +118,7 @@ def merged_ply(cloud: FusedCloud) -> bytes:
 
 
 def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
-    """Return the dataset, and the pictures of each of its scenes, or of the one that is meant."""
+    """Return the dataset, and the pictures of each of its scenes, or of the one given."""
     one = source.name.isdecimal() and not (source / CLAIM).exists()
     stored = open_dataset(source.parent.parent if one else source)
     shots = [

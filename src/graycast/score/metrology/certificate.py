@@ -153,7 +153,7 @@ class Certificate:
 
     @property
     def tilted(self) -> tuple[PlaneResult, ...]:
-        """The planes at the middle distance by their tilt about the baseline, facing first."""
+        """The facing middle plane, then those that are tilted about the baseline."""
         return self.middle, *(p for p in self.planes if p.name.startswith("tilted about baseline"))
 
     @property

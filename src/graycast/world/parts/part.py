@@ -184,7 +184,7 @@ class Material:
 
     @property
     def grooves(self) -> Grain | None:
-        """The grain, where facets are wider across it than along it."""
+        """The grain if the metal is rougher across it than along it, else None."""
         return self.grain if self.anisotropy > 0 else None
 
     @property
@@ -195,13 +195,13 @@ class Material:
 
     @property
     def local_roughness(self) -> Float[np.ndarray, "rows columns"]:
-        """The roughness at each texel of the map; without one, of all places."""
+        """The roughness at each texel of the map; a single value without a map."""
         share = np.ones((1, 1)) if self.roughness_map is None else self.roughness_map / 255
         return np.maximum(self.roughness * share, SMOOTHEST)
 
     @property
     def smoothest(self) -> float:
-        """The least roughness of any place."""
+        """The lowest roughness anywhere on the surface."""
         return float(self.local_roughness.min())
 
     @property
@@ -255,7 +255,7 @@ class Mesh:
 
     @property
     def face_normal(self) -> Float[np.ndarray, "f 3"]:
-        """Outward, of length 1; zero for a face without area."""
+        """Outward normals of length 1; zero for a face without area."""
         cross = self._face_cross_m2
         length = np.linalg.norm(cross, axis=1, keepdims=True)
         return cross / np.where(length > 0, length, 1.0)

@@ -114,8 +114,8 @@ def _filling(piece: Manifold) -> float:
 def _split(piece: Manifold, plane: Plane, thin_m: float) -> list[Manifold]:
     """Return the parts on both sides of a plane.
 
-    A plane that a face lies in leaves it as a sheet without thickness on the part beyond, whose
-    hull would hold it. So each side is cut a hair off the plane.
+    A face that lies in the plane would stay with the part beyond as a sheet without thickness, and
+    widen its hull. So each side is cut a hair off the plane.
     """
     normal, offset = plane
     hair_m = HAIR * thin_m
@@ -130,7 +130,7 @@ def _parts(piece: Manifold, thin_m: float) -> list[Manifold]:
 
 
 def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
-    """Return the parts by the flat face that leaves the least to fill; none if it gains little."""
+    """Cut along the flat face that leaves least to fill; return no parts if it gains little."""
     filling = _filling(piece)
     parts, left = _best_cut(piece, _faces_at_bends(piece), filling, even=0.0, thin_m=thin_m)
     return parts if left < (1 - WORTH) * filling else []
@@ -139,7 +139,7 @@ def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
 def _cut_anywhere(
     piece: Manifold, deepest: Float[np.ndarray, "3"], thin_m: float
 ) -> list[Manifold]:
-    """Return the parts by the best of many planes, however small the gain; may be empty."""
+    """Cut by the best of many planes, however small the gain; return no parts if none cuts."""
     planes = chain(_planes_across(piece, deepest), _faces_at_bends(piece))
     parts, _ = _best_cut(piece, planes, _filling(piece), even=EVEN, thin_m=thin_m)
     return parts
@@ -148,10 +148,10 @@ def _cut_anywhere(
 def _best_cut(
     piece: Manifold, planes: Iterable[Plane], filling: float, *, even: float, thin_m: float
 ) -> tuple[list[Manifold], float]:
-    """Return the parts with the least left to fill, and that volume.
+    """Return the parts with the least left to fill, and the volume left.
 
-    Of planes that leave about as much: one that makes few parts, of even size, by a small cut. So
-    a plate is not split into two thinner ones with the same holes.
+    If planes leave about as much, one with few parts of even size and a small cut is chosen. So a
+    plate is not split into two thinner ones with the same holes.
     """
     best, least, left = [], np.inf, np.inf
     for plane in planes:
@@ -168,7 +168,7 @@ def _best_cut(
 
 
 def _planes_across(piece: Manifold, deepest: Float[np.ndarray, "3"]) -> Iterator[Plane]:
-    """Planes across the piece's principal axes: through its middle, the deepest point, others."""
+    """Yield planes across the principal axes: through the middle, the deepest point, others."""
     vertices, _ = surface_of(piece)
     center, axes, _ = _principal(piece)
     for axis in axes.T:
@@ -214,7 +214,7 @@ def _faces_at_bends(piece: Manifold) -> Iterator[Plane]:
 def _principal(
     piece: Manifold,
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Centre of mass, the principal axes as columns, the variances along them in rising order."""
+    """Return the centre of mass, principal axes (columns) and their variances, ascending."""
     vertices, faces = surface_of(piece)
     corner = vertices[faces]
     volume = np.linalg.det(corner)

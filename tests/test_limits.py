@@ -33,9 +33,9 @@ SOURCE = ROOT / "src" / "graycast"
 # a staged surface smooth normals.
 MOST_LINES = 77_750
 # These are the words in README.md and the pages of docs that people write. 44,000 describe the
-# program without the materials of scans; 700 came with these: how a material is fitted, the table
+# program without the materials of scans; 800 came with these: how a material is fitted, the table
 # of known materials, and depth at the edges of parts.
-MOST_WORDS = 44_700
+MOST_WORDS = 44_800
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A run's last arguments say whom it tells of its steps.

@@ -27,7 +27,7 @@ PHRASES_LEFT = {
     "as it was": (1, 0),
     "beside": (110, 2),
     "by itself": (7, 0),
-    "by turns": (1, 0),
+    "by turns": (0, 0),
     "has none": (20, 1),
     "have none": (5, 0),
     "in the place of": (1, 0),

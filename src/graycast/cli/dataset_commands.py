@@ -302,7 +302,8 @@ def _import(options: argparse.Namespace) -> int:
             progress=bars,
         )
     objects = ", ".join(f"{i} {name}" for i, name in enumerate(done.categories, start=1))
-    print(f"{options.out}: {len(done.stems)} pictures, {done.instances} instances of {objects}")
+    instances = f"{done.instances} instances of {objects}" if objects else "no instances"
+    print(f"{options.out}: {len(done.stems)} pictures, {instances}")
     print(f"  not known: {', '.join(absent(options.out))}")
     for note in done.notes:
         print(f"  note: {note}")

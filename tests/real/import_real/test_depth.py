@@ -122,6 +122,8 @@ def test_the_options_of_depth_exist_on_the_command_line(tmp_path, capsys):
         "1.3",
     ]
     assert main(["dataset", "import", str(folder), "--out", str(out), *words]) == 0
-    assert "note: 2 pixels in 2 pictures lie beyond --max-depth 1.3" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "2 pictures, no instances\n" in printed
+    assert "note: 2 pixels in 2 pictures lie beyond --max-depth 1.3" in printed
     stored_m = open_examples(out)[0].scanner_depth_m
     assert np.isnan(stored_m[0, 0]) and np.nanmax(np.abs(stored_m - z_m)) < 2e-5

@@ -304,9 +304,8 @@ def _import(options: argparse.Namespace) -> int:
     objects = ", ".join(f"{i} {name}" for i, name in enumerate(done.categories, start=1))
     instances = f"{done.instances} instances of {objects}" if objects else "no instances"
     print(f"{options.out}: {len(done.stems)} pictures, {instances}")
-    print(f"  not known: {', '.join(absent(options.out))}")
-    for note in done.notes:
-        print(f"  note: {note}")
+    notes = [f"not known: {', '.join(absent(options.out))}", *(f"note: {n}" for n in done.notes)]
+    print("\n".join(f"  {note}" for note in notes))
     return 0
 
 

@@ -257,7 +257,7 @@ def _corners(numbers: Any, name: str) -> Float[np.ndarray, "_ 2"]:
     if not isinstance(numbers, list):
         raise DatasetError(f"{name}: is {numbers!r}: a polygon is a list of x, y, x, y ...")
     if len(numbers) % 2:
-        raise DatasetError(f"{name}: has {len(numbers)} numbers: a polygon has an even number, x and y of each corner")
+        raise DatasetError(f"{name}: has {len(numbers)} numbers, not x and y of each corner")
     if len(numbers) < 6:
         raise DatasetError(
             f"{name}: has {len(numbers) // 2} corners: a polygon must have at least 3"

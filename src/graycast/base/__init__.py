@@ -1,27 +1,27 @@
 """Foundations that every room uses: errors, files, settings, transforms and random streams.
 
-Each imports only from those above it:
+Each module imports only from the modules above it:
 
     version          the version of Graycast, which the files that it writes state
     errors           the errors that a caller may want to handle
     array_types      annotations of arrays with their axes
-    progress         what a long task tells whoever waits for it
-    argument_check   wrong kinds of arguments, refused with their names
-    public_value     what a public value says of itself: text, help, unknown keywords
-    file_limits      JSON and pictures of users, refused before they fill the memory
+    progress         messages of a long task to the caller that waits for it
+    argument_check   a check that refuses arguments of a wrong kind by name
+    public_value     text and help of public values, which refuse unknown keywords
+    file_limits      checks of users' JSON and pictures, which could fill the memory
     folder           files and folders that are written completely or not at all
-    plotting         the style of plots, and how they are written
-    yaml_loader      YAML without keys given twice and without aliases that fill the memory
+    plotting         the style of plots, and a function that writes them
+    yaml_loader      a YAML loader that refuses duplicate keys and too many aliases
     section_help     the help page of a section of a file: its keys with units and defaults
     settings         YAML files: reading, checking, and errors of one clear line
     sections         sections of files from the fields of dataclasses
     spawn            processes that do not run the user's script again
     usage            time and memory that processes have used
-    streams          independent streams of random numbers, by the seed that they are of
-    robust           standard deviations that outliers do not spoil
+    streams          independent streams of random numbers, derived from a seed
+    robust           standard deviations on which outliers have little influence
     color            the colour encoding of all pictures on disk
     frames           rigid transforms, rotations, the pixel grid and units of length
-    mask_box         the box about a mask's pixels, and where a window and an image overlap
+    mask_box         the bounding box of a mask, and the overlap of a window and an image
     ply              point clouds and meshes as PLY files
     tables           tables as CSV and as Markdown
     kernels          functions that Numba compiles

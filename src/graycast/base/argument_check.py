@@ -1,8 +1,8 @@
-"""Check of the arguments of public functions: a wrong kind is refused with the argument's name.
+"""Check of the arguments of public functions: an error names each argument of a wrong kind.
 
-Python itself notices a string in the place of a cell only deep inside, where the message no longer
-names what the caller wrote. What scripts call checks its arguments by its own annotations. An array
-may be anything that NumPy takes for one: its axes and its kind of numbers are checked by tests.
+Without a check, a string instead of a cell causes an error only deep inside, and the message does
+not name the caller's argument. Public functions check their arguments by their own annotations. An
+array may be anything that NumPy converts to one; tests check its axes and its kind of numbers.
 """
 
 import difflib
@@ -49,12 +49,12 @@ _MAKERS = {  # These functions make the values that a script does not build itse
 
 @cache
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function of the door that refuses arguments of a kind that it does not declare.
+    """Return a public function that refuses arguments of a kind that it does not declare.
 
-    It raises an ArgumentError that names the argument, its value and the remedy, also for negative
-    seeds and counts and for an argument that it does not have. The same function gives the same
-    result, which pickle finds at the door. In a terminal and in a notebook, a function that takes
-    a `ProgressMeter` and gets none keeps a line there until it returns.
+    It raises an ArgumentError that names the argument, its value and the remedy, even for negative
+    seeds and counts and for unknown arguments. For the same function, the result is always the
+    same object, which pickle finds in the package. A function with an argument `progress` that is
+    not given shows its progress in one line of a terminal or notebook until it returns.
     """
     plain = inspect.unwrap(function)
     signature = inspect.signature(plain)
@@ -73,7 +73,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _with_line(function: Any, args: Any, kwargs: Any, line: StatusLine) -> Any:
-    """Call a function whose progress stands in a line; yielded values find the line cleared."""
+    """Call a function and show its progress in a line, which is cleared before each yield."""
 
     def each(values: Generator[Any, Any, Any]) -> Iterator[Any]:
         with closing(values):
@@ -117,7 +117,7 @@ def _checker(
 
 
 def refuse_unknown(name: str, keywords: Collection[str], signature: inspect.Signature) -> None:
-    """Refuse keywords that a function or a class does not have, and name the nearest that it has.
+    """Refuse keywords that a function or a class does not have, and name a similar known keyword.
 
     Raises:
         ArgumentError: one of the keywords is unknown.
@@ -129,13 +129,13 @@ def refuse_unknown(name: str, keywords: Collection[str], signature: inspect.Sign
 
 
 def nearest(word: str, known: Collection[str]) -> str:
-    """Return the question whether a similar word was meant, or the list of all known words."""
+    """Return a question that suggests a similar known word, or else a list of all known words."""
     near = difflib.get_close_matches(word, known, n=1)
     return f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Return whether a value is of the kind that an annotation names, or the annotation is open."""
+    """Return whether a value has the kind that an annotation names; true if it names no kind."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return any(fits(value, one) for one in inner)
@@ -175,7 +175,7 @@ def _is_array(hint: Any) -> bool:
 
 
 def words(hint: Any) -> str:
-    """Return in words what an annotation asks for."""
+    """Return a description in words of the values that an annotation allows."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return " or ".join(words(one) for one in inner)
@@ -202,7 +202,7 @@ def words(hint: Any) -> str:
 
 
 def value_text(value: Any) -> str:
-    """Return a value and its kind, cut where it is long."""
+    """Return a text with a value and its type; a long value is shortened."""
     text = " ".join(repr(value).split())
     if len(text) > MOST_CHARACTERS:
         text = text[: MOST_CHARACTERS - 3] + "..."

@@ -1,7 +1,7 @@
 """Annotations of arrays with their axes, for modules that must also work without jaxtyping.
 
 If jaxtyping is not installed, `Float[np.ndarray, "h w"]` means `np.ndarray`, and nothing is
-checked. Modules that `graycast.dataset.training` does not import take the names from jaxtyping.
+checked. Modules that `graycast.dataset.training` does not import use jaxtyping directly.
 """
 
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ else:
     except ImportError:
 
         class _Unchecked:
-            """Annotates an array without a check of its axes and its type."""
+            """Annotation of an array whose axes and type are not checked."""
 
             def __class_getitem__(cls, annotation: tuple[type, str]) -> type:
                 return annotation[0]

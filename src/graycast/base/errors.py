@@ -1,4 +1,4 @@
-"""The errors that a caller may want to handle; every one names the thing and the remedy."""
+"""The errors that a caller may want to handle; each message names the cause and the remedy."""
 
 
 class GraycastError(Exception):
@@ -6,11 +6,11 @@ class GraycastError(Exception):
 
 
 class ConfigError(GraycastError):
-    """A configuration, rig or calibration file says something that Graycast cannot use."""
+    """A configuration, rig or calibration file has content that Graycast cannot use."""
 
 
 class ArgumentError(ConfigError, ValueError):
-    """A script gives a setting or an argument of a wrong name, kind or value."""
+    """A script gives a setting or an argument with a wrong name, kind or value."""
 
 
 class MeshError(GraycastError):
@@ -18,7 +18,7 @@ class MeshError(GraycastError):
 
 
 class DeviceError(GraycastError):
-    """No usable render device: no LLVM library, no NVIDIA driver."""
+    """No render device is usable: there is no LLVM library, or no NVIDIA driver."""
 
 
 class WorkerDied(GraycastError):
@@ -30,7 +30,7 @@ class DropError(GraycastError):
 
 
 class DatasetError(GraycastError):
-    """A dataset folder is not what it should be, or belongs to another run."""
+    """A dataset folder or one of its files has wrong content, or belongs to another run."""
 
 
 class DecodeError(GraycastError):
@@ -43,7 +43,7 @@ def one_line(error: Exception) -> str:
 
 
 def error_line(error: Exception) -> str:
-    """Return an error as one line; one of the operating system begins with its path."""
+    """Return an error as one line, which begins with the path for operating-system errors."""
     text = one_line(error)
     if not isinstance(error, OSError):
         return text

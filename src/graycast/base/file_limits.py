@@ -1,4 +1,4 @@
-"""JSON and pictures of users, refused before they fill the memory or lie on their side."""
+"""Checks of users' JSON, arrays and pictures, which refuse what is damaged, too large or turned."""
 
 import re
 import struct
@@ -31,13 +31,13 @@ _ANYTHING: TypeAdapter[Any] = TypeAdapter(Any)
 
 
 def parse_json(content: bytes | str) -> Any:
-    """Parse a JSON text. Every JSON text that comes from a file or from outside is read here.
+    """Parse a JSON text; all JSON from files and from other programs is read with this function.
 
-    It follows lists and objects for 200 levels, so that no reader of the result meets the limit
-    of Python's recursion.
+    Lists and objects may be nested 200 levels deep, so that code that walks through the result
+    does not reach Python's recursion limit.
 
     Raises:
-        ValueError: it is not JSON, or nested too deeply.
+        ValueError: the text is not JSON, or is nested too deeply.
     """
     data = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
     try:
@@ -60,8 +60,8 @@ def refuse_large_size(width_px: int, height_px: int, name: str, error: type[Exce
 def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]) -> None:
     """Raise an error of the given class if a picture's header states too many pixels.
 
-    Only the header is read. A picture without a known header passes, because its decoder can
-    say better what is wrong with it.
+    Only the header is read. A picture without a known header is accepted, because its decoder
+    gives a better error message.
 
     Args:
         source: the file, which exists, or its content.
@@ -76,11 +76,11 @@ def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]
 
 
 def refuse_turned(source: Path | bytes, name: str, error: type[Exception]) -> None:
-    """Raise an error of the given class if a picture is stored in another orientation than shown.
+    """Raise an error of the given class if viewers show a picture turned, because of its EXIF.
 
-    Cameras that are mounted upside down, and phones, store what the sensor saw and note how to
-    turn it (EXIF). Viewers and labelling tools turn it, our decoders do not, so labels, camera
-    matrix and pixels would belong to different pictures.
+    Phones, and cameras that are mounted upside down, store the sensor's picture with a note on
+    how to turn it (EXIF). Viewers and labelling tools turn the picture, but our decoders do not,
+    so labels, camera matrix and pixels would not fit together.
 
     Args:
         source: the file, which exists, or its content.
@@ -106,11 +106,11 @@ def _orientation(content: bytes) -> int:
 
 
 def load_array(path: Path) -> np.ndarray:
-    """Read the array of an NPY file; refuse a file that holds less than its header states.
+    """Read the array of an NPY file; refuse a file that is shorter than its header states.
 
     Raises:
-        ValueError: it is no NPY file, holds Python objects, or ends early.
-        OSError: it cannot be read.
+        ValueError: the file is no NPY file, contains Python objects, or ends early.
+        OSError: the file cannot be read.
     """
     mapped = np.load(path, mmap_mode="r")
     if not isinstance(mapped, np.ndarray):
@@ -121,7 +121,7 @@ def load_array(path: Path) -> np.ndarray:
 def check_runs(runs: Any, where: str, error: type[Exception]) -> None:
     """Raise an error of the given class if run lengths do not fill a picture of allowed size.
 
-    pycocotools does not check it.
+    pycocotools does not check this.
     """
     if not isinstance(runs, dict) or not isinstance(runs.get("counts"), str | list):
         raise error(
@@ -151,7 +151,7 @@ def _lengths(counts: str) -> list[int] | None:
     """Decode COCO's compressed run lengths; None if they are damaged.
 
     Each number is stored in characters that start at '0' and hold six bits, low bits first:
-    five bits of the number and one bit that tells whether more follow. From the third number
+    five bits of the number and one bit that is set if more follow. From the third number
     on, the stored value is the difference from the number two places before.
     """
     code = np.frombuffer(counts.encode("utf-8", "replace"), np.uint8).astype(np.int64) - 48
@@ -172,7 +172,7 @@ def _lengths(counts: str) -> list[int] | None:
 
 
 def _stated_size(file: _File) -> tuple[int, int]:
-    """Return columns and rows of a picture from its header; no pixel is decoded."""
+    """Read the numbers of columns and rows from a picture's header; no pixel is decoded."""
     head = file.read(_HEAD_BYTES)
     file.seek(0)
     if head.startswith(b"\x89PNG"):

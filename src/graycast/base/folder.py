@@ -29,7 +29,7 @@ def cache_folder(kind: str) -> Path | None:
 
 
 def why_unwritable(folder: Path) -> str | None:
-    """Make a folder if it is missing, and return why it cannot be written; None if it can."""
+    """Make a missing folder, and return the reason why it cannot be written, or None if it can."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
@@ -39,10 +39,10 @@ def why_unwritable(folder: Path) -> str | None:
 
 
 def visible_entries(folder: Path) -> list[Path]:
-    """Return what a folder holds, in the order of the names, without hidden entries.
+    """Return the entries of a folder in the order of their names, without hidden entries.
 
     On drives of other systems, macOS adds a file `._NAME` for each file, and file browsers add
-    hidden files of their own. None of them is data.
+    hidden files of their own. These files are no data.
     """
     return sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
 
@@ -50,8 +50,8 @@ def visible_entries(folder: Path) -> list[Path]:
 def leads_out(name: str) -> bool:
     """Return whether a file name read from a list points outside the list's folder.
 
-    Such a name is an absolute path, or has `..`: it could open any file of the reader's machine.
-    Windows' `\\` counts as `/`.
+    Such a name is an absolute path or contains `..`, so it could refer to any file on the reader's
+    machine. Windows' `\\` counts as `/`.
     """
     path = PurePosixPath(name.replace("\\", "/"))
     return path.is_absolute() or ".." in path.parts
@@ -112,8 +112,8 @@ def beside(place: Path) -> Iterator[Path]:
 def whole_folder(out: Path) -> Iterator[Path]:
     """Yield a folder in `out`; its files are moved to `out` when the block succeeds.
 
-    `out` may hold other files, which stay. The folder is made first, so that a command with an
-    unwritable path stops before its work and not after it. If the block fails or is stopped,
+    Other files in `out` are kept. The folder is made first, so that a command with an unwritable
+    path stops before its work and not after it. If the block fails or is stopped,
     `out` is unchanged, or does not exist if it did not exist before.
 
     Raises:
@@ -156,7 +156,7 @@ def take_lock(file: Path) -> IO[str] | None:
 def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
     """Make a folder and hold its lock, so that no other run writes to it.
 
-    What killed runs left in it, in `inside` and in the folders of that is removed.
+    Temporary paths of killed runs in `out`, in `inside` and in the folders of `inside` are removed.
 
     Raises:
         DatasetError: another run writes there, or the operating system refuses.
@@ -182,7 +182,7 @@ def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
 def remove_left(*folders: Path) -> None:
     """Remove the temporary paths that killed runs left directly in these folders.
 
-    Those of a run that is still going would go, too: hold the lock of the result first.
+    Temporary paths of an active run would be removed, too: first take the lock of the result.
 
     Raises:
         OSError: the operating system refuses.
@@ -221,7 +221,7 @@ def refuse_foreign(out: Path, mark: str) -> None:
 def new_folder(out: Path) -> Iterator[Path]:
     """Yield a temporary folder, which is renamed to `out` when the block succeeds.
 
-    It is for a result of many files that shares its folder with nothing else.
+    This is for a result that consists of many files and has a folder of its own.
 
     Raises:
         GraycastError: `out` exists and is not empty, or cannot be written.

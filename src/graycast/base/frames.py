@@ -23,7 +23,7 @@ def rigid(
 
 
 def inverse(T_a_b: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 4 4"]:
-    """Return the inverse of a rigid transform, `T_b_a` of `T_a_b`, by transposing its rotation."""
+    """Return the inverse of a rigid transform, `T_b_a` for `T_a_b`, by transposing its rotation."""
     rotation = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     T_b_a = np.zeros_like(T_a_b)
     T_b_a[..., :3, :3] = rotation

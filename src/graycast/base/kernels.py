@@ -1,12 +1,12 @@
-"""Functions that Numba compiles, with the result kept on disk.
+"""Functions that Numba compiles; the compiled code is kept on disk.
 
 Numba's own cache notices only that the file of a function has changed. A kernel also takes
 functions and constants from other files, and the compiled code contains them. Here the kernels of a
-file lie in a folder whose name has a digest of that file and of all files of this package that it
-imports, directly or not. So no list has to be kept, and a change elsewhere in the package compiles
-nothing again. Nothing is read or written before a kernel is compiled for the first time.
+file are in a folder whose name has a digest of that file and of all files of this package that it
+imports, directly or not. So no list has to be kept, and a change elsewhere in the package causes no
+new compilation. Nothing is read or written before a kernel is compiled for the first time.
 
-A cache is never needed: where no folder can be written, each process compiles what it uses.
+The cache is optional: if no folder can be written, each process compiles the kernels that it uses.
 """
 
 import hashlib
@@ -50,8 +50,8 @@ _IMPORT = re.compile(
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function at its first call, with options of `numba.njit`.
 
-    The check of array annotations in tests wraps every function, and Numba cannot compile the
-    wrapper: the function itself is compiled.
+    In tests, the check of array annotations wraps every function. Numba cannot compile the
+    wrapper, so the wrapped function is compiled.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
@@ -64,21 +64,21 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def kernel_folder() -> Path | None:
-    """Return the folder of all compiled kernels; None if there is none, since the user has no home.
+    """Return the folder of all compiled kernels, or None if the user has no home folder.
 
-    It is `$NUMBA_CACHE_DIR` where that is set, else one in the user's cache folder.
+    It is `$NUMBA_CACHE_DIR` if this is set, or else a folder in the user's cache folder.
     """
     return Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else cache_folder("kernels")
 
 
 def uncached_note() -> str | None:
-    """Return why compiled kernels are not kept; None if they are, or if none was compiled."""
+    """Return why compiled kernels are not kept on disk; None if they are, or none was compiled."""
     return _problem(kernel_folder()) if _problem.cache_info().currsize else None
 
 
 @cache
 def _problem(folder: Path | None) -> str | None:
-    """Return why compiled kernels cannot be kept in a folder; None if they can."""
+    """Return the reason why compiled kernels cannot be kept in a folder, or None if they can."""
     return "this user has no home" if folder is None else why_unwritable(folder)
 
 
@@ -97,9 +97,9 @@ def package_files() -> dict[str, Path]:
 
 @cache
 def imported_modules(module: str) -> frozenset[str]:
-    """Return the modules of this package that a module of it imports itself, anywhere in its code.
+    """Return the modules of this package that one of its modules imports directly, at any place.
 
-    Text that only looks like an import does no harm.
+    Text that only looks like an import may add modules, which does no harm.
     """
     file = package_files()[module]
     parts = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]
@@ -133,10 +133,10 @@ def _content_digest(file: Path) -> bytes | None:
 
 @cache
 def sources_digest(module: str) -> str | None:
-    """Return the digest of all that the kernels of a module contain.
+    """Return the digest of all files whose code the kernels of a module may contain.
 
-    It is None if one of the files has changed since this process began. What is then compiled comes
-    from the old text, which the process has loaded, and would be kept under the digest of the new.
+    It is None if one of the files has changed since this process began. Code that is then compiled
+    comes from the old text, which the process has loaded, and not from the text of the digest.
     """
     whole = hashlib.sha256()
     for name in all_imported_modules(module):
@@ -157,7 +157,7 @@ class _Locator(_CacheLocator):
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_Locator | None":
-        """Return the place of a function's compiled code; None if none can be written."""
+        """Return the locator of a function's compiled code; None if no folder can be written."""
         module, folder = py_func.__module__, kernel_folder()
         if _problem(folder) is not None or folder is None or module not in package_files():
             return None
@@ -182,9 +182,9 @@ class _Locator(_CacheLocator):
             raise OSError(problem)
 
     def _forget_old(self) -> None:
-        """Remove the folders of this file's kernels that were not used for the longest time.
+        """Remove the least recently used folders of this file's kernels.
 
-        Another process may use one of them: it then compiles again what it does not find.
+        If another process uses one of these folders, it compiles the missing kernels again.
         """
         versions = self._folder.parent.glob(f"{self._module}-{'[0-9a-f]' * 16}")
         aged = sorted(versions, key=lambda folder: folder.stat().st_mtime_ns, reverse=True)
@@ -208,8 +208,8 @@ class _Results(CompileResultCacheImpl):
 class _Files(IndexDataCacheFile):
     """The index of one kernel, and a file for each of its signatures.
 
-    Numba numbers these files, and writes the index first: two processes that store two signatures
-    at once give both the same number, and one may then load the code of the other signature.
+    Numba numbers these files, and writes the index first. If two processes store two signatures
+    at once, both get the same number, and a process may then load code for the wrong signature.
     """
 
     def save(self, key: object, data: object) -> None:

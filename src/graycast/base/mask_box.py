@@ -6,9 +6,9 @@ from .array_types import Bool
 
 
 def mask_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
-    """(x, y, columns, rows) as COCO has them; all 0 for a mask without a pixel.
+    """Return the bounding box (x, y, columns, rows) of a mask, as in COCO; all 0 if it is empty.
 
-    The first column and row, and how many there are from the first to the last.
+    x and y are the first column and row; columns and rows are numbers, up to the last ones.
     """
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
@@ -25,7 +25,7 @@ def overlap(
 ) -> tuple[Window, Window]:
     """Return the overlap of a window with an image, in the image's and in the window's pixels.
 
-    The window's first pixel is (left, top) of the image, which may lie outside it.
+    The window's first pixel is at (left_px, top_px) in the image, and may be outside the image.
     """
     image, own = [], []
     for start, length, end in zip((top_px, left_px), shape, size, strict=True):

@@ -1,4 +1,4 @@
-"""The common style of all plots, and how they are written to a file."""
+"""The common style of all plots, and a function that writes them to a file."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ def plain_figure(
 
 
 def plain_axes(ax: Axes, *, grid: Grid = "both") -> None:
-    """Show two pale spines, small ticks, and a pale grid behind what is drawn."""
+    """Show two pale spines, small ticks, and a pale grid behind the plotted data."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color(SOFT)
     ax.tick_params(colors=INK, labelsize=8, length=3)
@@ -59,7 +59,7 @@ def caption(ax: Axes, title: str, x: str, y: str = "") -> None:
 
 
 def _figure_of(ax: Axes) -> Figure:
-    """Return the figure of axes that have not been taken out of it."""
+    """Return the figure to which axes belong; the axes must not have been removed from it."""
     figure = ax.get_figure(root=True)
     assert figure is not None
     return figure
@@ -90,8 +90,8 @@ def write_names(
 ) -> None:
     """Write names next to data points; earlier names go first, and no two overlap.
 
-    A name for which no side of its point has room is left out, and so is one of a point that is
-    not a number. The limits of the axes must be final.
+    A name is left out if there is no room on any side of its point, or if the point is not finite.
+    The limits of the axes must be final.
     """
     taken: list[Bbox] = []
     _figure_of(ax).draw_without_rendering()

@@ -1,6 +1,6 @@
 """PLY files: the header of meshes and clouds, a writer of clouds, a reader of vertices.
 
-trimesh reads; its writer stores neither the size of an organised cloud nor the frame of its points.
+trimesh reads files, but its writer stores neither the size of organised clouds nor their frame.
 """
 
 import re
@@ -27,7 +27,7 @@ def header(
     faces: int | None = None,
     notes: Sequence[str] = (),
 ) -> bytes:
-    """Return the header of a file; `properties` are (type, name), `notes` and `obj_info`."""
+    """Return the header of a PLY; `properties` are (type, name), and `notes` are whole lines."""
     element = [f"element face {faces}", "property list uchar int vertex_indices"]
     lines = [
         "ply",
@@ -49,11 +49,11 @@ def cloud_bytes(
     width_px: int | None = None,
     frame: str = CAMERA_FRAME,
 ) -> bytes:
-    """Return a binary PLY of points; an organised one (`width_px` points a row) says its size.
+    """Return a binary PLY of points; with `width_px`, the points per row, it states the size.
 
     Args:
-        more: what else is known of each point; floats are stored in single precision.
-        frame: what the points are in, as a comment says it.
+        more: more properties of the points by name; floats are stored in single precision.
+        frame: text that describes the frame of the points; it is stored as a comment.
     """
     columns = dict(zip("xyz", point_m.T, strict=True))
     columns |= {} if color is None else dict(zip(COLORS, color.T, strict=True))
@@ -82,10 +82,10 @@ def _kind(dtype: np.dtype) -> str:
 
 
 def split(path: Path) -> tuple[list[str], bytes]:
-    """Return the lines of the header, and the bytes after it.
+    """Return the lines of a PLY file's header, and the bytes after it.
 
     Raises:
-        DatasetError: it is no PLY.
+        DatasetError: the file is no PLY.
     """
     data = path.read_bytes()
     end = re.search(rb"\nend_header[ \t]*\r?\n", data)
@@ -98,7 +98,7 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
     """Return the header, each property of the vertices by its name, and the number of vertices.
 
     Raises:
-        DatasetError: it is no PLY, or is damaged.
+        DatasetError: the file is no PLY, or is damaged.
     """
     from trimesh.exchange.ply import load_ply  # The import takes long, and writers do not need it.
 
@@ -133,7 +133,7 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
 
 
 def _row_sizes(lines: Sequence[str], body: bytes) -> set[int]:
-    """Return the numbers of words in the rows of an ASCII file's vertices."""
+    """Return the set of the numbers of words in an ASCII file's rows of vertices."""
     elements = [line.split()[1:3] for line in lines if line.startswith("element ")]
     names = [name for name, _ in elements]
     counts = [int(count) for _, count in elements]

@@ -1,8 +1,7 @@
-"""Messages of a long task to its caller, by way of an object that is handed down to it.
+"""Messages of a long task to its caller, by way of an object that the caller passes to it.
 
-After the progress meters of diffrax: a task takes a `ProgressMeter`, and the caller chooses what is
-done with it. The command line draws bars, and scripts get a line. What a meter raises ends the
-task.
+As in diffrax, a task takes a `ProgressMeter`, and the caller chooses how progress is shown. The
+command line draws bars, and scripts get a line. An exception that a meter raises ends the task.
 """
 
 from collections.abc import Callable
@@ -16,15 +15,15 @@ class ProgressMeter(Protocol):
     """Receiver of a task's progress; it is called in the thread that waits for the task."""
 
     def stage(self, text: str) -> None:
-        """Report that the task begins something that may take seconds; `text` says what."""
+        """Report the start of a step that may take seconds; `text` describes this step."""
         ...
 
     def count(self, what: str, done: int, total: int) -> None:
-        """Report that `done` of `total` are finished; earlier results count as finished."""
+        """Report that `done` of `total` items are finished; earlier results count as finished."""
         ...
 
     def note(self, text: str) -> None:
-        """Report something that the user should read, also after the task."""
+        """Report a message that the user should still be able to read after the task."""
         ...
 
 
@@ -78,7 +77,7 @@ class StatusLine:
         self._stream.write(f"graycast: note: {text}\n")
 
     def clear(self) -> None:
-        """Leave an empty line to whoever prints next."""
+        """Clear the line, so that the next output begins in an empty line."""
         if self._columns:
             self._stream.write(f"\r{' ' * self._columns}\r")
             self._stream.flush()
@@ -93,7 +92,7 @@ class StatusLine:
 
 
 def is_watched(stream: TextStream | None) -> bool:
-    """Return whether somebody reads a stream while it is written: in a terminal or a notebook."""
+    """Return whether a stream is shown at once, because it is a terminal's or a notebook's."""
     if stream is None:
         return False
     return stream.isatty() or type(stream).__module__.startswith("ipykernel")

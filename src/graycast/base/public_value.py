@@ -1,7 +1,7 @@
-"""Public values: one line of text, a help that can be read, and unknown keywords refused.
+"""Public values: their text in one line, their readable help, and refusal of unknown keywords.
 
-Arrays, pictures and nested settings would fill screens. Here an array is its type and shape, a
-field that has its default is left out, and what does not fit into a line is "...".
+Arrays, pictures and nested settings would fill screens. Here an array is shown by its type and
+shape, a field with its default value is left out, and "..." replaces text that is too long.
 """
 
 import inspect
@@ -26,9 +26,9 @@ Value = TypeVar("Value")
 
 
 def public_value(kind: type[Value]) -> type[Value]:
-    """Decorate a dataclass that scripts meet: its text, its help, and unknown keywords.
+    """Give a public dataclass a text of one line and a help page, and refuse unknown keywords.
 
-    A dataclass that is declared with `repr=False` keeps a text of its own.
+    A dataclass that is declared with `repr=False` keeps its own text.
     """
     build: Any = kind.__init__
     signature = inspect.signature(build)
@@ -56,7 +56,7 @@ def _parameters(signature: inspect.Signature) -> Collection[inspect.Parameter]:
 
 
 def one_line(value: object) -> str:
-    """Return a value as one line of at most `MOST_CHARACTERS`, as deep as it fits."""
+    """Return a value as one line of at most `MOST_CHARACTERS`, with as many levels as fit."""
     for depth in (3, 2, 1):
         text = _value_text(value, depth)
         if len(text) <= MOST_CHARACTERS:
@@ -155,7 +155,7 @@ def field_line(name: str, hint: Any, default: Any, meaning: str) -> str:
 
 
 def type_text(hint: Any) -> str:
-    """Return an annotation in words: an array with the kind of its numbers and its axes."""
+    """Return an annotation in words; for an array, these are its kind of numbers and its axes."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return type_text(inner[0])

@@ -1,4 +1,4 @@
-"""Standard deviations that outliers do not spoil."""
+"""Standard deviations on which outliers have little influence."""
 
 from typing import Any
 
@@ -16,8 +16,8 @@ def robust_sigma(
 ) -> Any:
     """Return the standard deviation of the zero-mean normal law with the values' median |value|.
 
-    It is taken along some axes, or over all values. NaN values are left out; the result is NaN
-    if no value is left.
+    It is computed along the given axes, or over all values. NaN values are ignored; the result is
+    NaN if all values are NaN.
     """
     if axis is None and not values.size:
         return float("nan")

@@ -32,7 +32,7 @@ else:
 
 
 def _give_help(section: Any) -> None:
-    """Give a section's `__init__` a text with its keys, their units, defaults and meaning."""
+    """Give a section's `__init__` a docstring with all keys, their units, defaults and meaning."""
     base: Any = section.__init__
 
     @wraps(base)
@@ -51,7 +51,7 @@ def _default(info: Any, missing: Any) -> Any:
 def _lines(section: Any) -> Iterator[str]:
     """Yield a line for each key of a pydantic model, as for the fields of a public value.
 
-    A key without a description that holds another section has the first sentence about that one.
+    If a key has no description but holds a section, the first sentence about that section is used.
     """
     for name, info in section.model_fields.items():
         hint, default = info.annotation, _default(info, MISSING)

@@ -27,9 +27,9 @@ def section_of(
     An infinite default becomes a key that may be left out, because files hold no infinity.
 
     Args:
-        dataclass: with `Field` in its annotations.
-        name: of the section.
-        module: `__name__` of the module that holds it under that name, where pickle looks for it.
+        dataclass: a dataclass with `Field` in its annotations.
+        name: name of the section.
+        module: `__name__` of the module in which pickle finds the section by its name.
         about: description of the section in its schema.
         base: base class of the section.
         more: extra or replacement fields as (annotation, field); None leaves out a field of the
@@ -54,7 +54,7 @@ def changes_of(dataclass: type, name: str, *, module: str, about: str) -> type[S
 
 
 def read_as(section: type[Any]) -> GetPydanticSchema:
-    """Return an annotation by which pydantic reads a field as a section made at run time."""
+    """Return an annotation that makes pydantic read a field as a section made at run time."""
     return GetPydanticSchema(lambda source, handler: handler(section))
 
 

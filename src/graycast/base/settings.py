@@ -1,8 +1,8 @@
-"""YAML files that hold frozen pydantic models: read, checked, and refused with one clear line.
+"""YAML files that are read as frozen pydantic models; errors are one clear line.
 
-What a number may be is said once, in the annotation of the value's own dataclass, by pydantic's
-`Field`. The dataclass refuses what its annotations do not allow (`check_fields`). `sections` makes
-sections of files from dataclasses.
+The bounds of a number are stated only once, by pydantic's `Field` in the annotation of the value's
+own dataclass. The dataclass refuses values that its annotations do not allow (`check_fields`).
+`sections` makes sections of files from dataclasses.
 """
 
 import math
@@ -54,10 +54,10 @@ class Settings(BaseModel, metaclass=SectionType):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     def __init__(self, **settings: Any) -> None:
-        """Make a section of keywords.
+        """Make a section from keywords.
 
         Raises:
-            ArgumentError: an unknown, missing or wrong keyword.
+            ArgumentError: a keyword is unknown, missing or wrong.
         """
         try:
             super().__init__(**settings)
@@ -96,12 +96,12 @@ class Settings(BaseModel, metaclass=SectionType):
 
 
 def check_fields(value: object) -> None:
-    """Refuse what a dataclass's annotations do not allow; for its `__post_init__`.
+    """Refuse values that a dataclass's annotations do not allow; its `__post_init__` calls this.
 
-    A field's default is always allowed: infinity, where it means that there is no limit.
+    A field's default is always allowed, even infinity, which then means that there is no limit.
 
     Raises:
-        ValueError: the text names the field, its value and what it may be.
+        ValueError: a value is refused; the text names the field, its value and allowed values.
     """
     kind: Any = type(value)  # `Any`, because mypy doubts that a type is hashable
     for name, (allowed, default, about) in _limits(kind).items():
@@ -142,7 +142,7 @@ def declared_fields(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
 def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
     """Return for each field its annotation, default and meaning.
 
-    An annotation that says more than a type, such as bounds, is a `TypeAdapter`.
+    An annotation with more than a type, such as bounds, is returned as a `TypeAdapter`.
     """
     config = ConfigDict(strict=True, allow_inf_nan=False)
     limits = {}
@@ -199,7 +199,7 @@ def read_text(path: Path) -> str:
 
 
 def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
-    """Return a YAML mapping, also one of numbers; refuse anything else by its line."""
+    """Return the mapping in a YAML text, whose keys may be numbers; refuse any other text."""
     import yaml  # Programs that only read a dataset need no PyYAML.
 
     from .yaml_loader import OneOfEachKey
@@ -227,7 +227,7 @@ def _first_problem(error: ValidationError, model: type[Settings], *, whole: str)
     """Return the first of pydantic's complaints in one line: key, value and what is allowed.
 
     Args:
-        whole: names all of the keys, where the complaint is not about one of them.
+        whole: a name for all keys together, for a complaint that is not about a single key.
     """
     problems = error.errors(include_url=False)
     # pydantic counts only valid items, so a list with an invalid item may also be "too short".
@@ -286,7 +286,7 @@ def _schema(model: type[Settings]) -> Mapping[str, Any]:
 def setting_description(model: type[Settings], key: str) -> str:
     """Return the description of a key such as `decode.doubt`; empty if the model has no such key.
 
-    A number in the key counts an entry of a list.
+    A number in the key is the index of an entry in a list.
     """
     schema, text = _schema(model), ""
     options = [schema]
@@ -304,8 +304,8 @@ def setting_description(model: type[Settings], key: str) -> str:
 def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list[str], list[str]]:
     """Return the keys that lead to a problem, and the keys that are allowed there (JSON Schema).
 
-    Where a key `kind` chooses between sections, pydantic puts the choice into its locations; what
-    a user reads has only the keys of his file.
+    If a key `kind` chooses between sections, pydantic adds the choice to its locations. It is left
+    out here, so that users read only keys of their files.
     """
     schema = _schema(model)
     path, options = [], [schema]

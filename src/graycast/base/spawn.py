@@ -1,8 +1,8 @@
 """Processes that Python starts from scratch, because a JIT's threads do not survive a fork.
 
-By itself, `spawn` runs the user's script again in each process, so a script without the guard
-`if __name__ == "__main__"` would end in an error. Our processes need nothing of a script: what they
-do, and what they get, comes from modules.
+Python's `spawn` runs the user's script again in each process, so a script without the guard
+`if __name__ == "__main__"` would end in an error. Our processes need nothing from the script,
+because their functions and data come from modules.
 """
 
 import sys

@@ -1,9 +1,9 @@
 """Random numbers in independent streams, each derived from a seed and a key.
 
-A stream is known by its number or by its place in a tuple, so that a change in one leaves the
-others as they were: new ones go last. What belongs to one of several scanners has the scanner's
-place in the configuration, or its name, in its key: no two scanners share random numbers. The first
-one has those of a cell with one scanner.
+A stream is identified by its number or by its index in a tuple, so a change in one stream does not
+affect the others, and new streams are added at the end. If a stream belongs to one of several
+scanners, its key has the scanner's index in the configuration or its name, so no two scanners share
+random numbers. The first scanner has the random numbers of the only scanner of a cell.
 """
 
 from enum import IntEnum
@@ -19,9 +19,9 @@ EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed ha
 
 
 class CaptureStream(IntEnum):
-    """Streams of the seed with which pictures are taken; a shot's own noise has none of them.
+    """Streams of the seed with which pictures are taken; the noise of a shot uses no stream.
 
-    `FIXED_PATTERN` is of the sensor's seed, which may be the same number.
+    `FIXED_PATTERN` is a stream of the sensor's seed, which may be the same number.
     """
 
     FIXED_PATTERN = 1
@@ -31,21 +31,21 @@ class CaptureStream(IntEnum):
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """Return the random numbers of a seed's stream: other keys give independent ones."""
+    """Return a generator for a seed and a key; other keys give independent random numbers."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 def station_stream(seed: int, station: int) -> np.random.Generator:
-    """Return a scanner's own random numbers of a seed that all scanners share.
+    """Return a generator of a scanner's own random numbers, from a seed that all scanners share.
 
     Args:
-        station: the scanner's place in the configuration; the first has the numbers of the seed.
+        station: the scanner's index in the configuration; 0 gives the numbers of the seed itself.
     """
     return stream(seed, *([station] if station else []))
 
 
 def device_seed(seed: int, name: str) -> int:
-    """Return the seed of a device that is known by its name, from the seed of its model."""
+    """Return the seed of a device, derived from the seed of its model and the device's name."""
     own = np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
     return int(own.generate_state(1)[0])
 
@@ -56,8 +56,8 @@ def scene_seeds(
     """Return the seed of each stage of a scene and of its first image.
 
     Args:
-        domain: whether values are drawn from one; else there is no seed of it.
-        views: likewise of the places that images are taken from.
+        domain: whether values of a domain are drawn at random; only then do they have a seed.
+        views: whether the viewpoints of images are drawn at random; only then do they have a seed.
     """
     seeds = _seeds(seed, (scene_id,), SCENE)
     # A scene without random values of a domain or of views has no seed for them.
@@ -66,11 +66,11 @@ def scene_seeds(
 
 
 def image_seeds(seed: int, scene_id: int, *, station: int, image: int) -> dict[str, int]:
-    """Return the seeds of one image's own stages; those of the first image are the scene's.
+    """Return the seeds of an image's own stages; the first image has the seeds of the scene.
 
     Args:
-        station: the scanner's place in the configuration.
-        image: which of the scanner's images it is.
+        station: the scanner's index in the configuration.
+        image: the image's index among the scanner's images.
     """
     if station == image == 0:
         first = scene_seeds(seed, scene_id)
@@ -81,10 +81,10 @@ def image_seeds(seed: int, scene_id: int, *, station: int, image: int) -> dict[s
 def rescan_seeds(seed: int, scene_id: int, *, scanner: str, image: int) -> dict[str, int]:
     """Return the seeds of an image that another scanner takes of a stored scene.
 
-    They are those of no image of a dataset with the same seed, and of no other scanner's rescan.
+    No image of a dataset with the same seed, and no other scanner's rescan, has the same seeds.
 
     Args:
-        scanner: the name of the rig, and of the source's camera if that has several.
+        scanner: the name of the rig, with that of the camera if the source has several cameras.
         image: the number of the image that is scanned again.
     """
     return _seeds(seed, (scene_id, _RESCAN, image, *scanner.encode()), OF_IMAGE)

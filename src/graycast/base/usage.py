@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def rss_bytes() -> int:
-    """Return the memory of this process now."""
+    """Return the memory that this process uses at present [bytes]."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize()
 
@@ -14,8 +14,8 @@ def rss_bytes() -> int:
 class GpuWatch:
     """Sampler of the load of this machine's NVIDIA GPUs, while the `with` block runs.
 
-    A GPU counts as busy while a kernel runs on it, whoever started that; NVML means this over up
-    to a second. Without a driver there is nothing to watch.
+    A GPU counts as busy while any process runs a kernel on it; NVML averages this over up to a
+    second. Without a driver, nothing is sampled.
     """
 
     def __init__(self, period_s: float = 0.5) -> None:

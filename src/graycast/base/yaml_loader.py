@@ -1,4 +1,4 @@
-"""YAML of users, read without what would hide a mistake or fill the memory."""
+"""A YAML loader for users' files, which refuses duplicate keys and too many aliases."""
 
 import yaml
 
@@ -6,10 +6,10 @@ _MOST_COPIED = 1_000_000  # The largest honest file with aliases is some thousan
 
 
 class OneOfEachKey(yaml.SafeLoader):
-    """YAML loader that refuses a key written twice, of which PyYAML would take the last.
+    """YAML loader that refuses duplicate keys, of which PyYAML would use only the last.
 
-    It also refuses aliases that would fill the memory: ten lines of ten aliases each stand for ten
-    billion values. PyYAML copies none of them, but whoever checks the values visits each.
+    It also refuses aliases that would fill the memory: ten lines of ten aliases each represent ten
+    billion values. PyYAML does not copy these values, but a check of the values visits each one.
     """
 
     def get_single_node(self) -> yaml.Node | None:
@@ -31,7 +31,7 @@ class OneOfEachKey(yaml.SafeLoader):
 def _refuse_bomb(root: yaml.Node) -> None:
     """Refuse a document whose aliases expand to too many values, or that contains itself.
 
-    A value's size is 1, its characters, and the sizes of the values in it. With aliases, the size
+    A value's size is 1 plus its characters plus the sizes of values in it. With aliases, the size
     of the whole is larger than the sum over all nodes, in which each node counts once.
     """
     size: dict[int, int] = {}

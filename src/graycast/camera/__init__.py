@@ -1,6 +1,6 @@
 """From the light on the sensor to depth, for simulated pictures and for real ones.
 
-Each module imports only from those above it:
+Each module imports only from the modules above it:
 
     light       from rendered radiance to the light on the sensor
     sensor      noise, saturation, quantisation: Radiance -> Capture

@@ -11,7 +11,7 @@ Pictures of a real device already contain this error, so only `scanner.measure`,
 simulated pictures, adds it.
 
 Leaves out: the rows of a projector above or below the camera (only columns have their own error);
-positions that neighbouring pixels share, as means over overlapping windows do; errors that change
+neighbouring pixels that share points, as in means over overlapping windows; errors that change
 from scan to scan, as speckle does. In the five scans, about half of this noise changes from scan
 to scan.
 """
@@ -82,7 +82,7 @@ def with_faults(
 ) -> DepthMap:
     """Return the depth that a device with these faults outputs for a filtered depth map.
 
-    It is the depth at a point that is `raster_px` (one standard deviation along each axis) from
+    This is the depth at a point that is `raster_px` (one standard deviation along each axis) from
     the pixel's centre. Between pixels, inverse depth is interpolated by a plane through a pixel's
     neighbours; next to steps and holes the slope is taken as 0.
 
@@ -97,7 +97,7 @@ def with_faults(
             Where the light is more even, as on white paper, the point is nearer to the centre.
 
     Returns:
-        A depth map whose `sigma_m` includes the error; the same map without a `raster_px`.
+        A depth map whose `sigma_m` includes the error; the given map if there is no `raster_px`.
     """
     if not spec.raster_px:
         return depth

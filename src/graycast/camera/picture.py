@@ -21,7 +21,7 @@ def color_picture(
     The measuring sensor takes the three bands one after the other.
 
     Args:
-        denoiser: removes the sampling noise of the rendered light; None leaves the noise.
+        denoiser: denoiser that removes the sampling noise of the rendered light; None keeps it.
         seed: seed of the sensor's noise, which differs between the bands.
 
     Raises:
@@ -64,14 +64,14 @@ def idle_share(rig: Rig) -> float:
 
 
 def gray_picture(capture: Capture) -> UInt8[np.ndarray, "h w"]:
-    """Return the first frame, which is white, as `relative_light` in 8 bits; 255 is 1 or more."""
+    """Return `relative_light` of the first frame, which is white, in 8 bits; 255 is 1 or more."""
     return np.round(np.minimum(relative_light(capture, 0), 1) * 255).astype(np.uint8)
 
 
 def relative_light(capture: Capture, index: int) -> Float[np.ndarray, "h w"]:
     """Return the light of a frame; 1 saturates the sensor in the reference exposure.
 
-    A pixel of another exposure is scaled by the ratio of the times, so that equal light has equal
+    A pixel with another exposure is scaled by the ratio of the times, so that equal light has equal
     values in all exposures; values can be greater than 1.
     """
     share = _share(capture.frames[index], capture.sensor)

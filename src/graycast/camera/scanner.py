@@ -1,6 +1,6 @@
 """A scanner: a rig with its code, sensor, exposure, filters and faults; preset scanners.
 
-Two functions go all the way from light to depth: `take` and `measure`.
+The functions `take` and `measure` together compute depth from light.
 """
 
 import math
@@ -110,7 +110,7 @@ class Scan:
 
 
 def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
-    """Take the pictures of a scanner and measure them: the way from light to depth."""
+    """Take the pictures of a scanner, and measure projector positions and depth in them."""
     capture = take(scanner, radiance, seed=seed)
     codes, depth = measure(scanner, capture, path_noise=radiance.path_noise)
     return Scan(capture=capture, codes=codes, depth=depth)
@@ -129,7 +129,7 @@ def take(
 
     Args:
         metered: mask of the pixels from which `exposure.auto` chooses its times, like a user's
-            region of interest; None is all pixels. Without `exposure.auto` it is ignored.
+            region of interest; None means all pixels. Ignored without `exposure.auto`.
 
     Raises:
         ValueError: the scene is dark, or its light is not finite.
@@ -279,15 +279,15 @@ def _effective_reflectance(
 def preset(name: str, resolution: str = "low") -> Scanner:
     """Return a preset scanner.
 
-    `paper` is the scanner of the paper, with a plain Gray code and no filter. The others project a
-    phase code, then filter and smooth the depth. They reject most indirect light: its two periods
-    disagree, its points are off the epipolar line (if both axes are coded), or its stripes have
-    little contrast. Pixels next to edges, which may see two surfaces, have no depth.
+    `paper` is the scanner of K. Bai et al. 2024, with a plain Gray code and no filter. The others
+    project a phase code, then filter and smooth the depth. They reject most indirect light, because
+    its two periods disagree, its points are off the epipolar line (if both axes are coded), or its
+    stripes have little contrast. Pixels next to edges, which may see two surfaces, have no depth.
     docs/measurements/materials.md has the shares of wrong depth on eight materials. Scanners with a
     laser have a slight blur of the line, speckle, and the faults of a real device.
 
     Args:
-        name: one of `rig.pair.PRESETS`, or a former name of one.
+        name: one of `rig.pair.PRESETS`, or a former name of a preset.
         resolution: 'small', 'low' or 'full', see `rig.pair.preset_rig`.
 
     Raises:

@@ -270,7 +270,7 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
     Raises:
         ValueError: no captures, different sensors or sizes, or a capture that is already merged.
 
-    Leaves out: weighting of several exposures, which would reduce noise slightly but break its law.
+    Leaves out: means of several exposures, which would have less noise but another law of noise.
     Near saturation, noise decides which exposure a pixel gets, which lowers its mean slightly.
     """
     if not captures:
@@ -317,7 +317,7 @@ def _take_unsaturated(stack, saturation_dn, stack_exposure_s, frames, exposure_s
 
 
 def _key(seed: int, *stream: int) -> np.uint64:
-    """Return a hash of seed and stream, so that similar seeds and other streams are unrelated."""
+    """Return a hash of seed and stream; similar seeds or streams have unrelated hashes."""
     return np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0]
 
 
@@ -331,7 +331,7 @@ def _mix(z: np.uint64) -> np.uint64:
 
 @kernel()
 def _polar(bits: np.uint64):
-    """Return radius and angle of two normal numbers (Box and Muller, 1958) from 64 random bits.
+    """Return radius and angle for two normal numbers (Box and Muller, 1958) from 64 random bits.
 
     Each of the two uniform numbers has 32 bits and is never 0.
     """

@@ -1,4 +1,4 @@
-"""Standard deviation of a decoded depth: all of its terms, each with its law and its switch.
+"""Standard deviation of a decoded depth: all of its terms, with their laws and switches.
 
 `TERMS` lists the causes of uncertain depth in the order in which they are added. Terms of a
 position are standard deviations of the decoded column or row [projector px]; `triangulate` converts
@@ -134,7 +134,7 @@ STEP_RATIO = 4.0  # A change of position this many times that on a facing surfac
 def with_position_term(
     codes: CodeMap, sigma_px: Mapping[Axis, Float[np.ndarray, "h w"] | float]
 ) -> CodeMap:
-    """Return the same positions with a term [projector px] added to the sigma of some axes."""
+    """Return the same positions, with a term [projector px] added to the sigma of given axes."""
     sums = {
         f"sigma_{axis}": np.hypot(getattr(codes, f"sigma_{axis}"), np.float32(own))
         for axis, own in sigma_px.items()
@@ -163,7 +163,7 @@ def ripple_px(codes: CodeMap, code: Code) -> dict[Axis, float]:
     a picture of many periods all true phases are equally frequent, so the histogram of the decoded
     phases shows the ripple: the mean of `exp(i N phi)` has the absolute value `J_1(N a)`. A ripple
     does not affect the means for N - 1 and N + 1, which serve as background; a value that is not
-    clearly above it is taken for chance. With several periods, `disagreement` has this error.
+    clearly above it is taken for chance. With several periods, `disagreement` includes this error.
 
     Leaves out: pictures of about one period, where the background hides a ripple.
 
@@ -247,7 +247,7 @@ def speckle_m(
 
     If the centre of light is `off_px` away (one sigma along each axis), the decoded position is
     wrong by `grad u . off`, and depth by `dz/du` times that. The gradient is taken between
-    both neighbours; next to steps and holes, that of a surface facing the rig is used.
+    both neighbours; next to steps and holes, it is that of a surface facing the rig.
     """
     column = triangulation_axis(rig) == "column"
     u, sigma_px = (codes.column, codes.sigma_column) if column else (codes.row, codes.sigma_row)
@@ -278,8 +278,8 @@ def _gradient(
 def bend_m(depth: DepthMap) -> Float[np.ndarray, "h w"]:
     """Return the standard deviation of depth [m] from a surface that bends within a pixel.
 
-    A pixel sees an area. If a fold or a small step crosses it, the measured depth differs from the
-    depth at its centre. A bend is the second difference of inverse depth along a row or column,
+    A pixel sees an area. If a fold or small step crosses this area, the measured depth differs from
+    the depth at its centre. A bend is the second difference of inverse depth along a row or column,
     which is 0 on a plane. The largest bend of the pixel and its neighbours counts, less the noise.
     Next to a pixel without depth the bend is unknown and adds nothing.
     """

@@ -1,4 +1,4 @@
-"""Laser speckle on the sensor: light is uneven within a pixel, so its centre is off the pixel's.
+"""Laser speckle on the sensor: uneven light within a pixel, whose centre is off the pixel's centre.
 
 Coherent light from a rough surface makes a pattern of speckles on the sensor, as fine as the lens
 resolves. A pixel sums several speckles: its light varies by a contrast, and its centre of light is
@@ -44,7 +44,7 @@ FURTHEST_PX = 0.5  # The centre of a pixel's light is within the active area of 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Speckle:
-    """Effect of speckle on each pixel: a factor of its light, and the offset of its centre [px]."""
+    """Effect of speckle on each pixel: a factor for its light, and its centre's offset [px]."""
 
     brightness: Float[np.ndarray, "h w"]
     right_px: Float[np.ndarray, "h w"]
@@ -58,9 +58,9 @@ class Speckle:
 def shared_light(sensor: SensorSpec, lag_px: int, *, side: float = 1.0) -> float:
     """Return the covariance of two pixels' light, `lag_px` apart, for speckle of contrast 1.
 
-    This is the factor of one axis; for two pixels apart along both axes, multiply two factors. The
-    autocorrelation of intensity is taken as a Gaussian `exp(-pi r^2 / A)` with the area of a round
-    pupil's, `A = (4 / pi) (lambda N)^2`. For pixels of side p the covariance is
+    This is the factor for one axis; for pixels apart along both axes, multiply two factors. The
+    autocorrelation of intensity is taken as a Gaussian `exp(-pi r^2 / A)` with the same area as for
+    a round pupil, `A = (4 / pi) (lambda N)^2`. For pixels of side p the covariance is
 
         1/p integral (1 - |t| / p) exp(-pi (t + lag p)^2 / A) dt   from -p to p.
 
@@ -109,7 +109,7 @@ def uneven(
     amplitude, and so the mean power of the noise, does not change.
 
     Args:
-        patch_px: size of `PATCH_M` in the picture.
+        patch_px: size of `PATCH_M` in the picture [px].
         seed: seed of the field.
     """
     rng = stream(seed, CaptureStream.FINISH)
@@ -120,7 +120,7 @@ def uneven(
 
 
 def pixel_contrast(sensor: SensorSpec, *, side: float = 1.0) -> float:
-    """Return the speckle contrast of a whole pixel, relative to that at a point of the sensor."""
+    """Return the speckle contrast of a whole pixel, relative to the contrast at a point."""
     return shared_light(sensor, 0, side=side)
 
 

@@ -1,4 +1,4 @@
-"""From a stack of pictures to projector positions and depth; the reason if a pixel has no depth.
+"""From a stack of pictures to projector positions and depth, or a reason for missing depth.
 
 maps           inputs and results: settings and maps
 reasons        reasons of pixels without depth, and the functions that set them

@@ -63,7 +63,7 @@ class Places(NamedTuple):
 
 @kernel(parallel=True, error_model="numpy")
 def read_gray(stack, code, law, light, places, why):
-    """Decode bits to the middle of the code value's cell; write its uncertainty."""
+    """Decode bits to the middle of the code value's cell, and write the position's uncertainty."""
     bits, coarse, variance, rival = code.bits, places.place, places.sigma, places.rival
     count, w = len(bits), coarse.shape[1]
     for y in numba.prange(len(coarse)):
@@ -84,7 +84,7 @@ def lose_bits(stack, bits, light, top, saturation_dn, why):
 
     If only the pattern is saturated and not its inverse, the bit is certain. Without an inverse, a
     saturated bright frame makes the threshold too low. The bits of wide stripes are still certain;
-    of narrow stripes, which blur turns grey, only dark ones are.
+    in narrow stripes, which blur turns grey, only dark bits are certain.
     """
     high, low = light.high, light.low
     for y in numba.prange(len(why)):
@@ -214,7 +214,7 @@ def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
 
 @kernel(error_model="numpy")
 def _fine_limits(noise, contrast, fine_error, scale, sure):
-    """Write two scales of fine bits: 1 / (3 sigma) of a signal [1/DN], and that of its blur."""
+    """Write two scales for signals of fine bits [1/DN]: 1 / (3 sigma), and one for blur."""
     for x in range(len(noise)):
         noise_dn, off_dn = noise[x] / scale, fine_error * contrast[x]
         sure[0, x] = np.float32(1 / 3) / math.sqrt(noise_dn * noise_dn + off_dn * off_dn)

@@ -1,6 +1,6 @@
 """Filters of a depth map: flying pixels, outliers, edges, islands, smoothing, hidden pixels.
 
-They run in this order, each on the result of the one before. No filter gives depth to a pixel
+The filters run in this order, each on the result of the previous one. None gives depth to a pixel
 without depth. Smoothing and the outlier test use inverse depth, which is linear along a line of
 pixels on a plane: a pixel is the mean of two opposite neighbours, even on a steep plane.
 
@@ -37,8 +37,8 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
         rig: the rig with which the depth was measured.
 
     Returns:
-        A depth map in which removed pixels are NaN with `Reason.OUTLIER`, and `sigma_m` is that
-        of the smoothed depth; the same map if no filter is on.
+        A depth map in which removed pixels are NaN with `Reason.OUTLIER`, and `sigma_m` belongs to
+        the smoothed depth; the given map if no filter is on.
 
     Raises:
         ValueError: the map has another size than the camera's picture, or a pixel has a depth but
@@ -136,7 +136,7 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
 
 
 def _half_disc(radius_px: float) -> Int[np.ndarray, "n 2"]:
-    """Return (dy, dx) of the neighbours within a distance, one of each opposite pair."""
+    """Return (dy, dx) of the neighbours within a distance, with one of each opposite pair."""
     side = range(-int(radius_px), int(radius_px) + 1)
     offsets = [
         (dy, dx)
@@ -148,7 +148,7 @@ def _half_disc(radius_px: float) -> Int[np.ndarray, "n 2"]:
 
 
 def _half_kernel(smoothing_px: float) -> Float[np.ndarray, "n 3"]:
-    """Return (dy, dx, weight) of one of each opposite pair, relative to a central weight of 1."""
+    """Return (dy, dx, weight) of one pixel of each opposite pair; the central weight is 1."""
     offsets = _half_disc(smoothing_px * math.sqrt(-2 * math.log(NEGLIGIBLE_WEIGHT)))
     weight = np.exp(-np.square(offsets).sum(axis=1) / (2 * smoothing_px**2))
     return np.column_stack([offsets, weight])
@@ -158,8 +158,8 @@ def _half_kernel(smoothing_px: float) -> Float[np.ndarray, "n 3"]:
 def _steepness(framed, y, x, v, u, limit_tan):
     """Return -1 or 1 if pixel (v, u) is before or behind (y, x) by a steep slope, else 0.
 
-    The vector between the two points has a component along the first ray and one across it, here
-    both times the ray's length. If `along > limit_tan across` by more than noise, it is steep.
+    The vector between the points has a component along the first ray and another across it. Both
+    are here times the ray's length. If `along > limit_tan across` by more than noise, it is steep.
     """
     z, sigma = framed.z, framed.sigma
     ray_x, ray_y = framed.ray_x[x], framed.ray_y[y]
@@ -237,8 +237,8 @@ def _goes_on(framed, flying_tan, y, x, down, right):
 def _within_step(z, fall, y, x, down, right, first, last):
     """Return whether the slope around a pixel is a step: short, between much flatter surfaces.
 
-    So a smooth surface stays even where it is steeper than the limit. `first` and `last` are the
-    known extent of the slope to each side, in pixels; 0 is a side without a surface.
+    So a smooth surface is kept even if it is steeper than the limit. `first` and `last` are the
+    known extent of the slope to each side, in pixels; 0 means a side without a surface.
     """
     sense = fall[y, x] if last else fall[y - down, x - right]
     while 0 < first <= FLYING_REACH_PX:
@@ -285,7 +285,7 @@ def _edges(framed, step_tan, around, removed):
 
 
 def _islands(framed: _Framed, step_tan: float, island_px: int, removed) -> None:
-    """Mark surfaces of fewer than `island_px` pixels, which connect over the sides of pixels."""
+    """Mark surfaces of fewer than `island_px` pixels; pixels connect only by their sides."""
     h, w = removed.shape
     parent = np.arange(h * w, dtype=np.int32)
     _unite(framed.z, _falls_of(framed, step_tan), framed.margin, w, parent)

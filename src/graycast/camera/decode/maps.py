@@ -155,8 +155,8 @@ class FilterSpec:
 
     An `edge_px` of 1 includes the four neighbours of a pixel, 1.5 also the diagonal ones. A
     `smoothing_px` of 0.55 reduces white noise to 0.56 and correlates neighbours by 0.36.
-    `hidden_sigmas` is for `without_hidden`. `outlier_sigmas` counts `sigma_m` or, if larger, the
-    scatter of the neighbours.
+    `hidden_sigmas` is for `without_hidden`. `outlier_sigmas` is a multiple of `sigma_m` or, if that
+    is larger, of the neighbours' scatter.
     """
 
     flying_angle_deg: Annotated[
@@ -274,7 +274,7 @@ class DepthMap:
             map_of_pixels.flags.writeable = False
 
     def is_wrong(self, true_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-        """Return the pixels whose depth differs from the true one by more than both limits."""
+        """Return a mask of the pixels whose depth is wrong by more than both limits."""
         off_m = np.abs(self.depth_m - true_m)
         with np.errstate(invalid="ignore"):  # NaN: no depth, or no surface
             return (off_m > WRONG_M) & (off_m > WRONG_SIGMAS * self.sigma_m)

@@ -77,8 +77,8 @@ def rows_of(T_proj_cam: Float[np.ndarray, "4 4"], coded: int) -> Float[np.ndarra
 def meet(ray, across, along, T, lens, depth_m, slope_m):
     """Write the depth of each ray and its derivative by the coded position `across` [m/px].
 
-    `along` is NaN if it was not decoded; it is then found from the depth by iteration.
-    Return false if the lens distortion has no inverse at one of the projector positions.
+    If `along` is NaN, it was not decoded and is computed from the depth by iteration. Return
+    false if the lens distortion has no inverse at one of the projector positions.
     """
     sound = True
     for n in range(len(ray)):
@@ -89,7 +89,7 @@ def meet(ray, across, along, T, lens, depth_m, slope_m):
 
 @kernel(error_model="numpy")
 def off_the_line_px(ray, depth_m, along, T, lens, off_px):
-    """Write the difference between decoded position along the planes and that of the depth [px]."""
+    """Write the decoded position along the planes minus the position of the measured point [px]."""
     for n in range(len(ray)):
         off_px[n] = along[n] - place_px(ray, n, depth_m[n], T, lens)[1]
 

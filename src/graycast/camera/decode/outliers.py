@@ -17,7 +17,7 @@ def find_outliers(inverse, noise, sigmas, share, margin, repair, removed, surfac
     """Mark outliers in maps of inverse depth, which have a border of NaN, in `removed`.
 
     Args:
-        repair: whether outliers inside a surface without an edge are repaired and not marked.
+        repair: whether outliers inside a surface without an edge are repaired instead of marked.
         surface: output, the surface's inverse depth and standard deviation at repaired pixels.
     """
     h, w = removed.shape

@@ -98,7 +98,7 @@ def _phase(sums, count, law, turn, noise2):
 
 @kernel(error_model="numpy")
 def _amplitude(sums, count, law, first, strength):
-    """Write mean, amplitude [DN] and variance of a frame [DN^2]; limit strength to the contrast."""
+    """Write mean, amplitude [DN] and variance [DN^2] of a frame; limit strength to the contrast."""
     offset_dn, floor_dn2, slope_dn = law
     total, c, s = sums[0], sums[1], sums[2]
     mean, amplitude, variance = first[0], first[1], first[2]
@@ -216,7 +216,7 @@ def _search_row(row, place, state):
 
 @kernel(parallel=True, error_model="numpy")
 def open_choices(phases, state, choice, cost):
-    """Write the best periods of open counts and their costs, the best first."""
+    """Write the best periods for pixels with open counts, and their costs, the best first."""
     periods, delta, half_px, bounds, turn, noise2 = phases
     for y in numba.prange(len(state)):
         where = np.nonzero(state[y] == OPEN)[0]
@@ -236,7 +236,7 @@ def open_choices(phases, state, choice, cost):
 
 @kernel(error_model="numpy")
 def _search_all(row, choice, cost):
-    """Write the periods of lowest cost for each pixel, in order, one to each row of `choice`."""
+    """Write each pixel's periods of lowest cost to the rows of `choice`, the best first."""
     groups, w = row.turn.shape
     costs = np.empty(w, dtype=np.float32)
     number = np.empty(w, dtype=np.int32)
@@ -277,8 +277,8 @@ def _cost(k, row, expected, costs):
 
 @kernel(error_model="numpy")
 def _expect(row, g, expected):
-    """Write what is expected of a group at the lowest position, and its weight: the difference of
-    its phase from that of the position or, for a single frame, the position's cosine and sine."""
+    """Write a group's expected values at the lowest position, and their weight: that position's
+    phase minus the group's phase or, for a single frame, the position's cosine and sine."""
     periods, first, noise2 = row.periods, row.bounds[0], row.noise2
     ratio = periods[0, 0] / periods[g, 0]
     here, aside, weight = expected[0], expected[1], expected[2]

@@ -78,7 +78,7 @@ class AxisPlan:
 
 
 def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n"]:
-    """Return a mask of the frames that determine positions; a bit without inverse uses all."""
+    """Return a mask of the frames that determine positions: all if a bit has no inverse."""
     read = np.zeros(count, dtype=bool)
     for plan in plans.values():
         for bit in plan.bits:

@@ -52,8 +52,8 @@ def decode(
     docs/explanation/decoding.md, "Bits" and "Phases".
 
     Leaves out: the square pixels of the projector. A cosine or a comb of lines on a grid of pixels
-    is a staircase. This is its peak error [projector px] if a camera pixel covers 1 or 1.5 of its
-    pixels, for discs of blur of several radii; with a blur of one pixel it is far below `sigma`:
+    is a staircase. The table has its peak error [projector px] if a camera pixel covers 1 or 1.5
+    projector pixels, for several radii of blur; with a radius of one pixel it is far below `sigma`:
 
         period 8 px   sharp 0.010, 0.075   0.5 px  0.007, 0.014   1 px  0.004, 0.005
         period 16 px  sharp 0.003, 0.081   0.5 px  0.002, 0.013   1 px  0.001, 0.005
@@ -198,8 +198,8 @@ def _read_phases(cues: _Cues, plan: AxisPlan, clipped: bool, free, places: Place
 def _count(cues: _Cues, phases: Phases, place, by_gray: bool) -> None:
     """Count periods by the phases themselves; neighbours settle the counts that stay open.
 
-    `by_gray` is true if a Gray code gives a coarse position. Phases that do not fit it are then
-    a sign of indirect light, else a contradiction.
+    `by_gray` is true if a Gray code gives a coarse position. Phases that do not fit this position
+    are a sign of indirect light; without it, phases that do not fit are a contradiction.
     """
     state = np.empty(place.shape, dtype=np.uint8)
     count_by_phases(phases, place, state)
@@ -280,7 +280,7 @@ def _reach(stack, read, peak, saturation_dn, top):
 def _judge(light, strength, top, why, law, dark):
     """Write the reasons that follow from a pixel's light, which replace reasons of its code.
 
-    If one of its frames is saturated, SATURATED replaces any other reason.
+    If one of the pixel's frames is saturated, SATURATED replaces any other reason.
     """
     high, low = light.high, light.low
     for y in numba.prange(len(high)):

@@ -52,7 +52,7 @@ def settle(pixels, place, period, *, min_lead):
     accepted if it leads by `min_lead` and enough neighbours agree. Clear pixels never change.
 
     Args:
-        place: positions of clear pixels [px]; those of settled pixels are written.
+        place: positions of clear pixels [px]; positions of settled pixels are written to it.
         period: length of the first period [px], a float32.
 
     Returns:
@@ -150,12 +150,12 @@ def settle_refused(period_px, turn, place, refused, clear, *, votes):
     """Settle the periods of pixels with a contradictory code by votes of their neighbours.
 
     The phase of such a pixel is known, but not its period. Each clear neighbour on the same surface
-    votes for one. A period with at least `votes` votes is accepted if hardly any neighbour votes
-    for another. Settled pixels do not vote for others, so large regions are not filled.
+    votes for a period. A period with at least `votes` votes is accepted if hardly any neighbour
+    votes for another one. Settled pixels have no votes, so large regions are not filled.
 
     Args:
         turn: phase [periods], (h, w).
-        place: positions of clear pixels [px]; those of settled pixels are written.
+        place: positions of clear pixels [px]; positions of settled pixels are written to it.
         refused, clear: masks of the pixels to be settled and of those that vote, (h, w).
 
     Returns:

@@ -80,7 +80,7 @@ def meet_planes(
 ) -> Float[np.ndarray, "n 3"]:
     """Return the points where rays of camera pixels (x, y) meet projector planes [m].
 
-    They are in the camera frame (see `triangulate`); NaN if ray and plane do not meet before it.
+    Points are in the camera frame (see `triangulate`), NaN if ray and plane do not meet before it.
 
     Args:
         column: projector column of each pixel; all NaN if columns are not coded.
@@ -94,10 +94,10 @@ def meet_planes(
 
 
 def epipolar_residual_px(codes: CodeMap, depth: DepthMap, rig: Rig) -> Float[np.ndarray, "h w"]:
-    """Return the difference between the other decoded coordinate and that of the depth [px].
+    """Return the decoded coordinate along the planes minus its value for the measured point [px].
 
-    It is NaN if either is unknown. As depth does not use this coordinate, the difference is a check
-    of calibration and decoding.
+    The result is NaN if either is unknown. As depth does not use this coordinate, the difference
+    is a check of calibration and decoding.
     """
     camera = rig.camera
     axis = triangulation_axis(rig)
@@ -112,9 +112,9 @@ def epipolar_residual_px(codes: CodeMap, depth: DepthMap, rig: Rig) -> Float[np.
 def off_the_line(
     codes: CodeMap, residual_px: Float[np.ndarray, "h w"], rig: Rig, *, limit_px: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Return the points that are farther from their epipolar line than a limit plus noise.
+    """Return a mask of the points that are farther from their epipolar line than limit plus noise.
 
-    The noise is that of the coordinate that depth does not use; the line is taken as exact.
+    This is the noise of the coordinate that depth does not use; the line is taken as exact.
     """
     sigma_along_px = _by_axis(codes, triangulation_axis(rig))[3]
     return np.abs(residual_px) > limit_px + EPIPOLAR_SIGMAS * sigma_along_px
@@ -134,7 +134,7 @@ def _off_the_line_px(
     rig: Rig,
     axis: Axis,
 ) -> Float[np.ndarray, " n"]:
-    """Return the difference between the position along the planes and that of the depth [px]."""
+    """Return the positions along the planes minus the positions of measured points [px]."""
     coded = 0 if axis == "column" else 1
     off_px = np.empty(len(ray))
     T, lens = rows_of(rig.T_proj_cam, coded), lens_of(rig.projector, coded)

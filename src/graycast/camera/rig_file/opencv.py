@@ -160,7 +160,7 @@ def _distortion(content: Mapping[str, Any], role: str, path: Path) -> tuple[floa
 
 
 def _size(content: Mapping[str, Any], device: str, path: Path) -> tuple[int, int]:
-    """Return (width, height) as the file states it."""
+    """Return the size (width, height) that the file states for a device."""
     key = _find(content, f"{device} size", path)
     if key is None:
         raise ConfigError(
@@ -192,7 +192,7 @@ def _metres_per_unit(T: Float[np.ndarray, "3"], unit: str | None, where: str) ->
 
 
 def _find(content: Mapping[str, Any], role: str, path: Path) -> str | None:
-    """Return the one key of the file that plays a role, or None."""
+    """Return the only key in the file that has a given role, or None."""
     keys = [key for key in _KEYS[role] if key in content]
     if len(keys) > 1:
         raise ConfigError(f"{path}: {' and '.join(keys)} both state the {role}: keep one")

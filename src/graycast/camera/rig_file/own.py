@@ -117,12 +117,12 @@ def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanne
     """Return the scanner that a configuration names by `rig: text`.
 
     Args:
-        text: a name in `PRESETS`, a former name of one, or a rig file, relative to `folder`.
+        text: a name in `PRESETS`, a former name of a preset, or a rig file relative to `folder`.
         folder: the folder of the configuration.
         resolution: resolution of a preset; ignored for a file, which has its own.
 
     Raises:
-        ConfigError: it is no preset and no readable rig file, or the resolution is unknown.
+        ConfigError: the text names no preset and no rig file, or the resolution is unknown.
     """
     if resolution not in RESOLUTIONS:
         choices = ", ".join(RESOLUTIONS)

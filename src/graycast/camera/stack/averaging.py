@@ -75,7 +75,7 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
 def _two_rounds(
     cell: Int[np.ndarray, " k"], values: Float[np.ndarray, "k 4"], wrong: Float[np.ndarray, " k"]
 ) -> Cells:
-    """Average the certain pixels of each cell, or the others in a cell without certain pixels."""
+    """Average the certain pixels of each cell; in a cell without any, average uncertain pixels."""
     count = int(cell.max(initial=-1)) + 1
     mean, sure_pixels, whole = _means(cell, values, wrong <= MAX_WRONG, count)
     others, other_pixels, other_whole = _means(cell, values, wrong <= MAX_WRONG_ALONE, count)

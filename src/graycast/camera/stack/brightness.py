@@ -128,7 +128,7 @@ def _white(flat, code: Code, steps: Sequence[int], saturation_dn: float):
 
 
 def _equations(value: Float[np.ndarray, "steps n"]):
-    """Return the equations that the harmonics are zero for a cosine: rows and right-hand sides."""
+    """Return the equations for a cosine, whose harmonics are zero: rows and right-hand sides."""
     rows: list[np.ndarray] = []
     count = len(value)
     for k in range(2, count // 2 + 1):

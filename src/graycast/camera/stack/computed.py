@@ -44,7 +44,7 @@ def computed_pairs(frames: Num[np.ndarray, "n h w"], code: Code) -> list[tuple[i
 
 
 def _beside(sums: list[np.ndarray], k: int) -> list[np.ndarray]:
-    """Return the sums before and after one; a computed sum equals at least one of them."""
+    """Return the sums before and after sum `k`; a computed sum equals at least one of them."""
     return sums[max(k - 1, 0) : k] + sums[k + 1 : k + 2]
 
 

@@ -50,8 +50,8 @@ DECODED_AT_LEAST = 0.01  # A stack is refused unless a larger share of its lit p
 class Cloud:
     """Points in the camera frame [m], with 8-bit colours from the camera's pictures.
 
-    An averaged cloud has `sure_pixels`, the number of camera pixels that were averaged (0 if the
-    finest bit of all was uncertain). Any other has `sigma_m`, the standard deviation of z [m].
+    An averaged cloud has `sure_pixels`, the number of averaged camera pixels (0 if the finest bit
+    was uncertain in all pixels). Any other cloud has `sigma_m`, the standard deviation of z [m].
     """
 
     point_m: Float[np.ndarray, "n 3"]
@@ -186,9 +186,9 @@ def _by_noise(
 ) -> CodeMap:
     """Return the codes with only the uncertainty from noise, which averaging uses.
 
-    With it, certain pixels are spread over the whole cell. With other errors of fine bits, pixels
-    next to an edge of the finest bit would be uncertain and left out, which would move the mean of
-    the cell by a fifth of a column.
+    With noise alone, certain pixels are spread over the whole cell. With other errors of fine bits,
+    pixels next to an edge of the finest bit would be uncertain and left out, which would move the
+    mean of the cell by a fifth of a column.
     """
     if code.subpixel:
         return codes

@@ -61,7 +61,7 @@ def diagnose(
     have contradictions in healthy stacks, too.
 
     Args:
-        levels: levels with which `codes` were decoded; `known` has those that the file states.
+        levels: levels with which `codes` were decoded; `known` has the levels of the stack file.
     """
     names = [file.name for file in pictures.files]
     facts = [*_twins(pictures), *_exposure(codes)]
@@ -260,7 +260,7 @@ def _brightness(
     levels: Levels,
     exchanged: frozenset[int],
 ) -> Iterator[str]:
-    """Yield a warning for each pair, and each step, with another brightness than the others."""
+    """Yield a warning for each pair, and each step, that is brighter or darker than the others."""
     sums = {}
     for k, other, flat, middle, half in _well_lit_pairs(pictures, code, well):
         first, second = (flat[i].astype(np.float32) for i in (k, other))

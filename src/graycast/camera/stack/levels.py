@@ -1,6 +1,6 @@
 """Measurement of offset, saturation and noise of an unknown camera in the stack itself.
 
-Noise is what light cannot explain: in sums of pairs, in steps of a period, or in one picture.
+Noise is the variation that light does not explain in sums of pairs, in a period, or in a picture.
 """
 
 from collections.abc import Iterator
@@ -225,7 +225,7 @@ def from_steps(
 def from_means(
     frames: Num[np.ndarray, "n h w"], code: Code, offset_dn: float, saturation_dn: float
 ) -> tuple[float, float] | None:
-    """Return floor [DN^2] and slope [DN] from two periods, whose mean light is the same."""
+    """Return floor [DN^2] and slope [DN] from pairs of periods, whose mean light is the same."""
     periods = full_periods(code)
     light, squares = [], []
     for pair in islice(pairwise(periods), MAX_PERIODS):
@@ -273,7 +273,7 @@ def bands(height_px: int) -> Iterator[slice]:
 def less_local_mean(
     value: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
 ) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Subtract the mean of valid pixels around, and return a mask where most of them are valid."""
+    """Subtract the mean of nearby valid pixels; return a mask, too, where most are valid."""
     share = uniform_filter(valid.astype(np.float32), WINDOW_PX)
     mean = uniform_filter(np.where(valid, value, 0), WINDOW_PX) / np.maximum(share, 0.1)
     return value - mean, valid & (share > 0.9)

@@ -19,7 +19,7 @@ FILES = (CODE, "light.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW
 def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
     """Write the files of a result to a folder; each file is complete or does not appear.
 
-    They are first written to a temporary folder next to it and then renamed one by one. Files of an
+    Files are first written to a temporary folder and then renamed one by one. Files of an
     earlier run that this run does not replace (such as depth, without a rig) are removed.
 
     Returns:
@@ -71,7 +71,7 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
 
 
 def _save_npz(path: Path, **arrays: np.ndarray) -> None:
-    """Write an NPZ with the fastest compression; NumPy's takes 4 times as long to save a tenth."""
+    """Write an NPZ with fast compression; NumPy takes 4 times as long for files a tenth smaller."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
@@ -81,8 +81,8 @@ def _save_npz(path: Path, **arrays: np.ndarray) -> None:
 def write_ply(cloud: Cloud, path: Path) -> None:
     """Write a binary PLY with x, y, z [m, camera frame], red, green, blue, and one more property.
 
-    It is `pixels` for an averaged cloud, the number of averaged camera pixels (0: all uncertain),
-    and `sigma` for any other, the standard deviation of z [m].
+    This property is `pixels` for an averaged cloud, the number of averaged camera pixels (0: all
+    uncertain), and `sigma` for any other cloud, the standard deviation of z [m].
     """
     more = {"pixels": cloud.sure_pixels, "sigma": cloud.sigma_m}
     known = {name: column for name, column in more.items() if column is not None}

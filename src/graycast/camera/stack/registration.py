@@ -203,19 +203,19 @@ def _ratio(weight, value, other) -> float:
 
 
 def _spread(off, valid) -> float:
-    """Return a robust standard deviation of the differences, from their median size."""
+    """Return a robust standard deviation of differences, computed from their median size."""
     sizes = np.abs(off[valid > 0][::7])
     return 1.4826 * float(np.median(sizes)) + 1e-6 if len(sizes) else 1.0
 
 
 def _tiled(value: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
-    """Return the sum over each tile."""
+    """Return the sum of an image over each tile."""
     y, x = ((np.arange(TILES) * size) // TILES for size in value.shape)
     return np.add.reduceat(np.add.reduceat(value, y, axis=0), x, axis=1).ravel().astype(float)
 
 
 def _tiled_products(weight, x1, y1, x2, y2) -> Float[np.ndarray, "n 2 2"]:
-    """Return the sum over each tile of the products of two slopes, as symmetric matrices."""
+    """Return each tile's sum of the products of two pictures' slopes, as symmetric matrices."""
     xx, yy = _tiled(weight * x1 * x2), _tiled(weight * y1 * y2)
     xy = _tiled(weight * (x1 * y2 + y1 * x2)) / 2
     return np.stack([np.stack([xx, xy], axis=-1), np.stack([xy, yy], axis=-1)], axis=-2)

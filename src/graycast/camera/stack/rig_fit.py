@@ -7,7 +7,7 @@ camera sees it: the rig must put the last lit pixels on the projector's first an
 If the camera sees no such edge, the check compares the shares of points in the working range and in
 the projector's picture, for the stated R and T and for inverted ones. If the shares do not differ,
 `doubts` yields a note. The sides of shadows do not help: inverting R and T exchanges near and far
-as well as the side of the projector, so shadows still are where they should be.
+as well as the side of the projector, so shadows are still on the expected sides.
 """
 
 from collections.abc import Iterator
@@ -49,7 +49,7 @@ _AS_IT_IS = ((1, 0), (0, 1))
 
 
 def better_reading(codes: CodeMap, rig: Rig) -> str | None:
-    """Return a text with the change that makes the rig fit the stack, or None without one."""
+    """Return a text that names the change that makes the rig fit the stack, or None."""
     both = not (np.isnan(codes.column).all() or np.isnan(codes.row).all())
     y, x = _decoded(codes) if both else _edge(codes, triangulation_axis(rig) == "row")
     if len(y) < LEAST:

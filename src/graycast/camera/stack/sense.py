@@ -53,7 +53,7 @@ class _Edges:
         return float(np.angle(mean) / (2 * np.pi)), float(abs(mean))
 
     def miss(self, sign: int, origin: float) -> float:
-        """Return the median distance between positions by phase and the edges [periods]."""
+        """Return the median distance of the edges from their positions by phase [periods]."""
         apart = self.place - sign * self.phase - origin
         return float(np.median(np.abs(apart - np.rint(apart))))
 
@@ -188,7 +188,7 @@ def _judge(
 
 
 def phases_agree(bands: GrayBands, plan: AxisPlan, period: Period) -> bool:
-    """Return whether the phases fit the edges of the Gray code, and these are enough."""
+    """Return whether there are enough edges of the Gray code, and the phases fit these edges."""
     edges = _edges(bands, _phase(bands, period), plan, period)
     return edges is not None and edges.as_stated
 
@@ -206,7 +206,7 @@ def _edges(
 ) -> _Edges | None:
     """Return all pairs of neighbours with an edge of Gray cells between them.
 
-    The result is None if they are too few.
+    The result is None if there are too few pairs.
     """
     place, cell = bands.place_px / period.period_px, plan.cell_px / period.period_px
     first, second = bands.neighbours(place).T

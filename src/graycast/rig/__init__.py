@@ -1,6 +1,6 @@
 """The description of a scanner: its optics, its codes, and the pair of camera and projector.
 
-Each module imports only from those above it:
+Each module imports only from the modules above it:
 
     lens_inverse     the inverse of lens distortion, compiled
     optics           camera and projector: distortion and its inverse, thin lens, vignetting

@@ -24,7 +24,7 @@ def undistort_in_place(xy, k1, k2, p1, p2, k3):
 
 @kernel(error_model="numpy")
 def undistorted(goal_x, goal_y, distortion):
-    """Return the ideal point that belongs to a distorted one, and whether it exists."""
+    """Return the ideal point for a distorted point, and whether such a point exists."""
     k1, k2, p1, p2, k3 = distortion
     x, y = goal_x, goal_y
     for _ in range(ITERATIONS):

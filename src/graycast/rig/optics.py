@@ -121,7 +121,7 @@ class Optics:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether every point is sharp, at any distance."""
+        """Whether all points are sharp, at any distance."""
         return self.aperture_m == 0 and self.psf_px == 0
 
     @property
@@ -139,10 +139,10 @@ def optics_of(
     size_px: tuple[int, int],
     distortion: Sequence[float] = (0.0,) * 5,
 ) -> Optics:
-    """Return the optics with a camera matrix (row by row); `size_px` is (height, width).
+    """Return the optics for a camera matrix (row by row); `size_px` is (height, width).
 
     Raises:
-        ValueError: `Optics` refuses a value, or `distortion` has not five coefficients.
+        ValueError: `Optics` refuses a value, or `distortion` does not have five coefficients.
     """
     (fx_px, _, cx_px), (_, fy_px, cy_px), _ = np.reshape(K, (3, 3)).tolist()
     k1, k2, p1, p2, k3 = distortion
@@ -217,7 +217,7 @@ def no_inverse(distortion: Distortion) -> str:
 
 
 def in_picture(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
-    """Return whether positions are inside the outer pixel borders of a picture; NaN is not."""
+    """Return whether positions are inside the outer pixel borders of a picture; false for NaN."""
     end = np.array([optics.width_px, optics.height_px]) - 0.5
     return np.all((pixel >= -0.5) & (pixel <= end), axis=-1)
 

@@ -191,7 +191,7 @@ def emission(rig: Rig, level: UInt8[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"
 
 
 def grey_levels(rig: Rig, share: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
-    """Return the grey level whose `emission` is nearest to each share of white: its inverse."""
+    """Return the grey level whose `emission` is nearest to each share of white."""
     table = _emission_table(rig)
     return np.searchsorted((table[1:] + table[:-1]) / 2, share).astype(np.uint8)
 
@@ -213,7 +213,7 @@ def preset_rig(name: str, resolution: str = "low") -> Rig:
     names the PhoXi M and L, but states neither intrinsics nor resolution.
 
     Args:
-        name: one of `PRESETS`, or a name that one of them had in an earlier version.
+        name: one of `PRESETS`, or the name of a preset in an earlier version.
         resolution: 'full' has all pixels of the camera, 'low' a quarter of them and 'small' a
             sixteenth; for a PhoXi these are 2064 x 1544, 1032 x 772 and 516 x 386 pixels.
 
@@ -304,7 +304,7 @@ def place(
 def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
     """Return `T_cam_rig`, the pose of the rig's own frame in the camera frame.
 
-    Its origin is the middle of the baseline. z is the bisector of the two devices' middle rays
+    Its origin is in the middle of the baseline. z is the bisector of the devices' middle rays
     (the optical axes, if there is no lens shift), and y is as near to the camera's y as possible.
     """
     bisector = _middle_ray(rig.camera) + rig.T_cam_proj[:3, :3] @ _middle_ray(rig.projector)
@@ -343,7 +343,7 @@ def _least_turn(
 
 
 def _middle_ray(optics: Optics) -> Float[np.ndarray, "3"]:
-    """Return the unit direction of the middle of a device's picture, by which the device is aimed.
+    """Return the unit direction of the middle of a device's picture, which serves to aim it.
 
     With lens shift, a projector's optical axis is at the edge of its picture or outside it.
     """
@@ -367,7 +367,7 @@ def best_depth_m(rig: Rig) -> float:
 def standoff_m(rig: Rig) -> float:
     """Return the distance from the middle of the baseline to the best working point.
 
-    This is the camera's middle ray at `best_depth_m`: the crossing of both rays, if in range.
+    This point is on the camera's middle ray at `best_depth_m`, where both rays cross if in range.
     """
     ray = _middle_ray(rig.camera)
     point = best_depth_m(rig) / ray[2] * ray

@@ -69,7 +69,7 @@ class Code:
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Axes that are coded."""
+        """Coded axes, columns first."""
         return tuple(axis for axis in AXES if any(f.axis == axis for f in self.frames))
 
     @property
@@ -115,7 +115,7 @@ class Code:
 
 
 def _check_even_steps(frames: tuple[Frame, ...]) -> None:
-    """Refuse uneven steps where three or more frames of one period give a phase of their own."""
+    """Refuse uneven steps if a period has three or more frames, which determine its phase."""
     groups: dict[tuple, list[Frame]] = {}
     for frame in frames:
         if frame.steps:

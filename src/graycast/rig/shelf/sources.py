@@ -1,4 +1,4 @@
-"""Sources of the numbers in a scanner's file: the comment behind each number, and its class."""
+"""Sources of the numbers in a scanner's file, from the comment after each number."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

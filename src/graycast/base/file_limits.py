@@ -1,4 +1,4 @@
-"""Checks of users' JSON, arrays and pictures, which refuse what is damaged, too large or turned."""
+"""Checks that refuse users' JSON, arrays and pictures if they are damaged, too large or turned."""
 
 import re
 import struct
@@ -31,7 +31,7 @@ _ANYTHING: TypeAdapter[Any] = TypeAdapter(Any)
 
 
 def parse_json(content: bytes | str) -> Any:
-    """Parse a JSON text; all JSON from files and from other programs is read with this function.
+    """Parse a JSON text; all JSON from files or from outside is read with this function.
 
     Lists and objects may be nested 200 levels deep, so that code that walks through the result
     does not reach Python's recursion limit.

@@ -18,7 +18,7 @@ ASIDE = ".tmp-"
 def cache_folder(kind: str) -> Path | None:
     """Return the folder where results of a kind are kept between runs; it may not exist yet.
 
-    It is in `$XDG_CACHE_HOME`, else in `~/.cache`; None if the user has no home. The results can
+    It is in `$XDG_CACHE_HOME`, or else in `~/.cache`; None if the user has no home. Results can
     always be computed again, so callers must go on if the folder cannot be read or written.
     """
     base = os.environ.get("XDG_CACHE_HOME")
@@ -154,7 +154,7 @@ def take_lock(file: Path) -> IO[str] | None:
 
 @contextmanager
 def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
-    """Make a folder and hold its lock, so that no other run writes to it.
+    """Make a folder and hold its lock during the block, so that no other run writes to it.
 
     Temporary paths of killed runs in `out`, in `inside` and in the folders of `inside` are removed.
 
@@ -202,7 +202,7 @@ def refuse_foreign(out: Path, mark: str) -> None:
         mark: the name of the file that marks an earlier result.
 
     Raises:
-        GraycastError: `out` is a file, or holds something else.
+        GraycastError: `out` is a file, or contains other files.
     """
     if out.exists() and not out.is_dir():
         raise GraycastError(f"{out}: is a file: choose a folder")

@@ -97,7 +97,7 @@ def package_files() -> dict[str, Path]:
 
 @cache
 def imported_modules(module: str) -> frozenset[str]:
-    """Return the modules of this package that one of its modules imports directly, at any place.
+    """Return the modules of this package that a module imports itself, anywhere in its code.
 
     Text that only looks like an import may add modules, which does no harm.
     """

@@ -36,7 +36,7 @@ class TextStream(Protocol):
         ...
 
     def flush(self) -> object:
-        """Show what was written."""
+        """Show the text that was written."""
         ...
 
     def isatty(self) -> bool:
@@ -58,7 +58,7 @@ class Stages:
 
 @final
 class StatusLine:
-    """A `ProgressMeter` that keeps one line of a terminal or notebook, which it clears again."""
+    """A `ProgressMeter` that shows one line in a terminal or notebook and clears it at the end."""
 
     def __init__(self, stream: TextStream) -> None:
         self._stream = stream

@@ -1,4 +1,4 @@
-"""Sections of files whose keys are the fields of a dataclass, with its bounds and descriptions."""
+"""Sections of files with the fields of a dataclass as keys, and its bounds and descriptions."""
 
 import math
 from collections.abc import Mapping

@@ -224,7 +224,7 @@ def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
 
 
 def _first_problem(error: ValidationError, model: type[Settings], *, whole: str) -> str:
-    """Return the first of pydantic's complaints in one line: key, value and what is allowed.
+    """Return the first of pydantic's complaints in one line: key, value and allowed values.
 
     Args:
         whole: a name for all keys together, for a complaint that is not about a single key.
@@ -250,7 +250,7 @@ def _first_problem(error: ValidationError, model: type[Settings], *, whole: str)
 
 
 def _hint(model: type[Settings], location: tuple[int | str, ...]) -> str:
-    """Suggest the section that an unknown key belongs to, or else the key that was meant."""
+    """Suggest the section to which an unknown key belongs, or else a similar known key."""
     *above, key = location
     known = _place(model, tuple(above))[1]
     for section in _place(model, tuple(above[:-1]))[1] if above else ():

@@ -56,7 +56,7 @@ def crop(
     reach_m: float,
     window_m: float,
 ) -> Crop | None:
-    """Return the surroundings of a detection; None if no pixel of it has a depth.
+    """Return the surroundings of a detection, or None if no pixel of the detection has a depth.
 
     Args:
         reach_m: distance to which the part may extend beyond the detection.

@@ -226,7 +226,7 @@ def line_noise_px(code: Code, axis: Axis, share: float) -> float:
     `-2/N sum e_k (1 + cos t_k) sin t_k` with evenly spaced t_k, so the standard deviation is
     `(p / 2 pi) share sqrt(5 / (2 N))`. Periods are averaged by inverse variance. Without phases: 0.
 
-    Leaves out: combs of lines, which have a small error, too.
+    Leaves out: combs of lines, which also have a small error.
     """
     plan = plan_axes(code, fine_bits=0).get(axis)
     precision = sum(
@@ -247,7 +247,7 @@ def speckle_m(
 
     If the centre of light is `off_px` away (one sigma along each axis), the decoded position is
     wrong by `grad u . off`, and depth by `dz/du` times that. The gradient is taken between
-    both neighbours; next to steps and holes, it is that of a surface facing the rig.
+    both neighbours; next to steps and holes, it is the gradient of a surface that faces the rig.
     """
     column = triangulation_axis(rig) == "column"
     u, sigma_px = (codes.column, codes.sigma_column) if column else (codes.row, codes.sigma_row)

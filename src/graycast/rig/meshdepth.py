@@ -1,4 +1,4 @@
-"""Depth of a mesh at pixel centres, as a check of the renderers: it shares no code with them."""
+"""Depth of a mesh at pixel centres, to check the renderers, with which it shares no code."""
 
 from dataclasses import dataclass
 

@@ -52,7 +52,7 @@ class Optics:
     other darkening (see `corner_share`). The active area of a pixel (`fill_factor`) is a centred
     square. Distortion that is not monotonic over the image is refused.
 
-    Leaves out: skew; the effect of mechanical vignetting on blur; see also `blur_radius_px`.
+    Leaves out: skew; the effect of mechanical vignetting on blur. `blur_radius_px` lists more.
     """
 
     width_px: Annotated[Side, Field(description="Width of the image in pixels.")]

@@ -343,7 +343,7 @@ def _least_turn(
 
 
 def _middle_ray(optics: Optics) -> Float[np.ndarray, "3"]:
-    """Return the unit direction of the middle of a device's picture, which serves to aim it.
+    """Return the unit direction of the middle of a device's picture; a device is aimed by this ray.
 
     With lens shift, a projector's optical axis is at the edge of its picture or outside it.
     """

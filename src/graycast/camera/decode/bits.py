@@ -80,7 +80,7 @@ def read_gray(stack, code, law, light, places, why):
 
 @kernel(parallel=True)
 def lose_bits(stack, bits, light, top, saturation_dn, why):
-    """Mark pixels where a bit is lost because it and its inverse or threshold are saturated.
+    """Mark pixels in which a bit is lost, because bit and inverse, or threshold, are saturated.
 
     If only the pattern is saturated and not its inverse, the bit is certain. Without an inverse, a
     saturated bright frame makes the threshold too low. The bits of wide stripes are still certain;

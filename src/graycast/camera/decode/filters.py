@@ -30,7 +30,7 @@ NEGLIGIBLE_WEIGHT = 0.01  # The smoothing kernel is cut off at this share of its
 
 
 def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
-    """Remove unreliable pixels, and smooth the others.
+    """Remove unreliable pixels, and smooth the remaining ones.
 
     Args:
         depth: z and its standard deviation [m]; the noise of pixels is taken as independent.
@@ -156,7 +156,7 @@ def _half_kernel(smoothing_px: float) -> Float[np.ndarray, "n 3"]:
 
 @kernel()
 def _steepness(framed, y, x, v, u, limit_tan):
-    """Return -1 or 1 if pixel (v, u) is before or behind (y, x) by a steep slope, else 0.
+    """Return -1 if a steep slope leads from (y, x) to a nearer pixel (v, u), 1 if farther, else 0.
 
     The vector between the points has a component along the first ray and another across it. Both
     are here times the ray's length. If `along > limit_tan across` by more than noise, it is steep.
@@ -322,7 +322,7 @@ def _root(parent, i):
 
 @kernel(parallel=True)
 def _smooth(framed, inverse, noise, step_tan, kernel, smooth, smooth_sigma):
-    """Smooth inverse depth with pairs of opposite neighbours, so that a plane stays a plane."""
+    """Smooth inverse depth with pairs of opposite neighbours, which does not change a plane."""
     margin = framed.margin
     h, w = smooth.shape
     for row in numba.prange(h):

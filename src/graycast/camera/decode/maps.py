@@ -153,7 +153,7 @@ class DecodeSpec:
 class FilterSpec:
     """The settings of the filters; None or 0 switches a filter off, and all are off by default.
 
-    An `edge_px` of 1 includes the four neighbours of a pixel, 1.5 also the diagonal ones. A
+    An `edge_px` of 1 includes the four neighbours of a pixel, 1.5 includes diagonal ones, too. A
     `smoothing_px` of 0.55 reduces white noise to 0.56 and correlates neighbours by 0.36.
     `hidden_sigmas` is for `without_hidden`. `outlier_sigmas` is a multiple of `sigma_m` or, if that
     is larger, of the neighbours' scatter.

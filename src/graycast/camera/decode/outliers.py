@@ -52,7 +52,7 @@ def _in_line(inverse, noise, y, x, sigmas, share):
 def _outlies(inverse, noise, y, x, sigmas, share):
     """Compare a pixel with the median of 5 x 5 pixels, corrected for the median slopes.
 
-    Return whether it is an outlier, the median, and the scatter about it (0 next to an edge).
+    Return whether the pixel is an outlier, the median, and the scatter (0 next to an edge).
     """
     window = inverse[y - 2 : y + 3, x - 2 : x + 3].astype(np.float64)
     middle = window[2, 2]

@@ -318,7 +318,7 @@ def _add_cosine_cost(cosine, c, s, expected, costs):
 def fuse(periods, turn, noise2, place, sigma):
     """Average the positions of all full periods, weighted by inverse variance.
 
-    For each phase, the position nearest to that of the first phase counts. A non-linear projector
+    For each phase, the position nearest to the first one counts. A non-linear projector
     and indirect light move a position by a share of the period. If two periods differ by more than
     their noise, `sigma` becomes wider, under the assumption that errors are proportional to the
     periods' lengths. A period that differs too much is left out.

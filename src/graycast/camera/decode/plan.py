@@ -29,7 +29,7 @@ MODEL_SHARE = 1 / 12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bit:
-    """One bit: its frame, the frame of its inverse, and the index of the bit it is XORed with."""
+    """One bit: its frame, its inverse's frame, and the index of the bit with which it is XORed."""
 
     frame: int
     inverse: int = NO_FRAME
@@ -59,7 +59,7 @@ class AxisPlan:
     """The plan of one axis, with bits from coarse to fine.
 
     Next to an edge of its stripes a bit may be misread, which changes the code value only a little.
-    A doubtful bit that would change it by more than `reach` is a contradiction.
+    A doubtful bit that would change the value by more than `reach` is a contradiction.
     """
 
     size_px: int
@@ -198,7 +198,7 @@ def _with_complementary(
 ) -> tuple[tuple[Bit, ...], float]:
     """Append the complementary bit if the cells of the Gray code are whole periods.
 
-    A finer Gray code does not need it. Return the bits and the width of a cell [px].
+    A finer Gray code does not need this bit. Return the bits and the width of a cell [px].
     """
     frame_of = {f.inverse: (k, f) for k, f in indexed if f.kind == "complementary"}
     if len([1 for _, f in indexed if f.kind == "complementary"]) > len(frame_of):

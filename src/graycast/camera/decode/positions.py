@@ -196,7 +196,7 @@ def _read_phases(cues: _Cues, plan: AxisPlan, clipped: bool, free, places: Place
 
 
 def _count(cues: _Cues, phases: Phases, place, by_gray: bool) -> None:
-    """Count periods by the phases themselves; neighbours settle the counts that stay open.
+    """Count periods with the phases alone; neighbours settle the counts that remain open.
 
     `by_gray` is true if a Gray code gives a coarse position. Phases that do not fit this position
     are a sign of indirect light; without it, phases that do not fit are a contradiction.

@@ -84,7 +84,7 @@ def meet_planes(
 
     Args:
         column: projector column of each pixel; all NaN if columns are not coded.
-        row: projector row of each pixel, likewise. The axis along the baseline is needed.
+        row: the same for projector rows. The axis along the baseline must be coded.
     """
     axis = triangulation_axis(rig)
     across, along = (column, row) if axis == "column" else (row, column)

@@ -59,7 +59,7 @@ def import_opencv(
         far_m: farthest depth of the working range; None: the farthest depth at which they
             overlap, at most twenty baselines.
         camera_size_px: (width, height), which replaces the size in the file.
-        projector_size_px: likewise for the projector.
+        projector_size_px: the same for the projector.
 
     Raises:
         ConfigError: the file is no such calibration; the message names file, key and remedy.

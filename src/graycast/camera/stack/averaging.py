@@ -42,7 +42,7 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
 
     A cell is the finest unit that the code resolves: a value of the Gray code, or one projector
     pixel of a phase code. A camera pixel whose finest bit is uncertain may belong to the adjacent
-    cell; it counts only if its cell has no other pixels. Cells whose pixels are too far apart for
+    cell; it counts only if its cell has no certain pixels. Cells whose pixels are too far apart for
     one surface are left out.
 
     Raises:

@@ -78,7 +78,7 @@ def _turns_off(excess: float, steps: int) -> float:
 def step_gains(
     flat: Float[np.ndarray, "frames n"], code: Code, steps: Sequence[int], saturation_dn: float
 ) -> Float[np.ndarray, " steps"] | None:
-    """Return the gain of each step of a period, relative to their median; 1 if it is normal.
+    """Return the gain of each step of a period, relative to the median gain; 1 for normal steps.
 
     Divided by its gain, each frame is mean + amplitude cos(phase - step). So the harmonics 2 to
     N - 2 of the N frames of a pixel are zero, and the sum of the frames is proportional to the

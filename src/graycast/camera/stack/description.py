@@ -168,7 +168,7 @@ class StackDescription(Settings):
     )
 
     def decode_spec(self) -> tuple[DecodeSpec, float | None]:
-        """Return the conditions of decoding, and the stated limit of epipolar distance or None."""
+        """Return the conditions of decoding, and the stated `max_epipolar_px`, or None for it."""
         settings = self.decode.model_dump()
         limit_px = settings.pop("max_epipolar_px")
         return DecodeSpec(**settings), limit_px
@@ -285,7 +285,7 @@ def code_of(description: StackDescription, path: Path) -> Code:
 
 
 def _stride_px(description: StackDescription, axis: Axis) -> float:
-    """Return the stated stride; else the period if Gray bits count periods, and 1 otherwise."""
+    """Return the stated stride; without one, the period if Gray bits count periods, or else 1."""
     stated = (description.stride_px.column, description.stride_px.row)[AXES.index(axis)]
     if stated is not None:
         return stated

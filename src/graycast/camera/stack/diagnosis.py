@@ -363,7 +363,7 @@ def mirror_symptom(
 ) -> str | None:
     """Return a warning if the code is a mirror image in the camera's picture, or None.
 
-    A camera cannot see a mirrored code, because it sees the side of a surface that is lit.
+    A camera cannot see a mirrored code, because it sees surfaces from the side that is lit.
 
     Args:
         step: distance of compared pixels. Between adjacent pixels, the whole columns and rows of a

@@ -26,7 +26,7 @@ def idle_settings(
     A setting counts as stated if it differs from its default, or if it switches a check on.
 
     Args:
-        max_epipolar_px: the value in the stack file; None if it states none.
+        max_epipolar_px: the value in the stack file; None if it is not stated.
     """
     plans = plan_axes(code, spec.fine_bits).values()
     phases = any(plan.periods for plan in plans)

@@ -273,7 +273,7 @@ def bands(height_px: int) -> Iterator[slice]:
 def less_local_mean(
     value: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
 ) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Subtract the mean of nearby valid pixels; return a mask, too, where most are valid."""
+    """Return values minus the mean of nearby valid pixels, and a mask where most are valid."""
     share = uniform_filter(valid.astype(np.float32), WINDOW_PX)
     mean = uniform_filter(np.where(valid, value, 0), WINDOW_PX) / np.maximum(share, 0.1)
     return value - mean, valid & (share > 0.9)

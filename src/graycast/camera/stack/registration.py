@@ -40,7 +40,7 @@ class PictureMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prepared:
-    """A picture with its slopes, as `register` needs it."""
+    """A picture with its slopes, prepared for `register`."""
 
     picture: Float[np.ndarray, "h w"]
     valid: Bool[np.ndarray, "h w"]
@@ -101,7 +101,7 @@ def register(first: Prepared, second: Prepared) -> PictureMotion:
     Each step solves the linear equations of optical flow for one motion of the whole picture:
     difference = slope . motion, with a separate brightness for each picture. Products of slopes are
     taken between the two pictures, whose noise is independent, so that noise does not count as
-    structure. If this does not fit at once, it is repeated from coarse to fine, with and without a
+    structure. If the first result does not fit, steps go from coarse to fine, with and without a
     start by phase correlation, and the best fit is used. Sigma follows from the scatter between
     tiles of the picture.
 

@@ -99,7 +99,7 @@ def gray_bands(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseFault:
-    """A warning about a period; `remedy` is true if it states the right steps."""
+    """A warning about a period; `remedy` is true if the warning states the right steps."""
 
     text: str
     remedy: bool

@@ -1,6 +1,6 @@
-"""The description of one picture of a coded stack; it fits the stacks of real scanners too.
+"""The description of one picture of a coded stack, even of a stack from a real scanner.
 
-A frame holds all that is needed to project it and to decode it; a code is a list of frames.
+A frame has all values that its projection and its decoding need; a code is a list of frames.
 """
 
 from dataclasses import dataclass

@@ -196,7 +196,7 @@ def base_of(name: str, base: str | None) -> str | None:
 
 @cache
 def measured() -> _Table:
-    """Load the stored table: the command that made it, its resolution, and the figures."""
+    """Load the stored table of figures, with its resolution and the command that made it."""
     return check_settings(_content(MEASURED), _Table, Path(MEASURED))
 
 

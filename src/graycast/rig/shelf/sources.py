@@ -28,7 +28,7 @@ _WORDS = ("likeness", "laser", "base")  # Keys whose values are neither numbers 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatedNumber:
-    """A number of a scanner's file with its key, text and class, and the comment behind it."""
+    """A number in a scanner's file with its key, text and class, and the comment after it."""
 
     key: str
     text: str
@@ -38,7 +38,7 @@ class StatedNumber:
 
 @cache
 def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
-    """Return the numbers of a scanner's file by their keys, such as `claims.fields.0.at_m`.
+    """Return the numbers in a scanner's file by their keys, such as `claims.fields.0.at_m`.
 
     The rig `paper` has the geometry of `like-phoxi-m`, so its numbers come from that file. A
     section, such as `claims`, comes from the scanner's file or else from its base.
@@ -95,7 +95,7 @@ def class_of(name: str, *keys: str) -> str:
 
 
 def source_lines(name: str) -> list[str]:
-    """Return a line for each number of a scanner's file; it ends with the class and the source.
+    """Return a line for each number in a scanner's file; it ends with the class and the source.
 
     The comment at the head of the file, which explains the names of the sources, comes first. For
     the rig `paper`, only the geometry comes from a file.

@@ -17,7 +17,7 @@ LEAN_RAD = np.radians(30)  # Walls and neighbouring parts make a tool lean by ab
 class Grip:
     """The pose of a tool in the part's frame, and the score of the grip (0 to 1).
 
-    The tool's z points away from the part. `opening_m` is how far jaws stand apart there.
+    The tool's z points away from the part. `opening_m` is the distance between the open jaws.
     """
 
     T_part_tool: Float[np.ndarray, "4 4"]
@@ -29,12 +29,12 @@ class Grip:
 
 
 def best_first(places: Iterable[Grip]) -> list[Grip]:
-    """The places at which a tool holds, that is whose score is above 0; the surest comes first."""
+    """Return the grips whose score is above 0, in order of falling score."""
     return sorted((grip for grip in places if grip.score > 0), key=lambda grip: -grip.score)
 
 
 def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> np.ndarray:
-    """Return a tool's pose whose z is the normal; x is across, as far from the normal as can be."""
+    """Return a tool's pose at a point: z is the normal, and x is one of the directions across."""
     least = np.eye(3)[np.argmin(np.abs(normal))]
     x = np.cross(least, normal)
     x /= np.linalg.norm(x)
@@ -42,6 +42,6 @@ def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) ->
 
 
 def downs() -> Float[np.ndarray, "5 3"]:
-    """Return the direction of gravity for a tool that is upright or leans to one of four sides."""
+    """Return the directions of gravity for an upright tool and for one that leans to four sides."""
     s, c = np.sin(LEAN_RAD), np.cos(LEAN_RAD)
     return np.array([[0, 0, -1], [s, 0, -c], [-s, 0, -c], [0, s, -c], [0, -s, -c]], dtype=float)

@@ -29,7 +29,7 @@ PROBES = 3000  # number of points of the part's surface, none of which may be in
 class Jaws:
     """Two parallel fingers that close along the tool's x; z points from the tips to the palm.
 
-    A grip's origin is the middle between both pads.
+    The origin of a grip's frame is the middle between both pads.
     """
 
     opening_m: Annotated[
@@ -69,9 +69,9 @@ class Jaws:
 class PadContact(NamedTuple):
     """Contact of closed jaws with a mesh.
 
-    `aside_m` is how far aside the middle between the pads lies along x. `slope` is the steeper
-    tangent between the jaws' axis and the normal of what a pad touches. `ahead_m` is how far before
-    the plane that its pad touches a finger meets the mesh, the larger of both fingers.
+    `aside_m` is the offset along x of the middle between the pads. `slope` is the tangent of the
+    angle between the jaws' axis and the surface normal at a pad, the larger of both pads. `ahead_m`
+    is the largest distance by which a finger meets the mesh before its pad does.
     """
 
     aside_m: float
@@ -80,7 +80,7 @@ class PadContact(NamedTuple):
 
     @property
     def on_pads(self) -> bool:
-        """Whether the pads touch: they give by at least `ahead_m`."""
+        """Whether both pads touch the part, because they can be pressed in by `ahead_m`."""
         return self.ahead_m <= PAD_GIVES_M
 
 
@@ -89,14 +89,14 @@ def jaw_load_factor(
 ) -> Float[np.ndarray, " k"]:
     """Return the safety factor of a load between two pads with friction; below 1 the part slips.
 
-    Both pads together carry 2 friction force across their axis, and about it the moment of two
-    discs of even pressure, 2 friction force (2/3 r). The load's moment about other axes is held
-    by the pads' normal forces, which this leaves out: fingers are stiff beside a part's weight.
-    Forces along the axis are held by the drive.
+    Across their axis, both pads together hold a force of 2 friction force. About the axis, they
+    hold the moment of two discs of even pressure, 2 friction force (2/3 r). The pads' normal forces
+    hold moments about other axes; these are not checked, because fingers are stiff compared with
+    a part's weight. The drive holds forces along the axis.
 
     Args:
         force_n: the force on the part, in the tool's frame.
-        moment_nm: its moment about the tool's origin.
+        moment_nm: the moment of the load about the tool's origin.
     """
     demand = np.sqrt(
         force_n[..., 1] ** 2
@@ -118,20 +118,20 @@ def jaw_places(
     chances: int = 24,
     seed: int = 0,
 ) -> list[Grip]:
-    """Return all places where open fingers fit, even those where they do not hold.
+    """Return all grips at which open fingers fit round the part, even if they do not hold it.
 
-    They hold where both normals lie in the cone of friction about the line between the pads, and no
-    point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
-    between two walls that leave it room. The score is then the share of chances (place of the tool,
-    friction, centre of mass) in which both pads meet the part within the cone, before the rest of a
-    finger does, and the burden is held, the least over an upright tool and one that leans to four
-    sides; elsewhere it is 0. The first chance has the tool where it was planned.
+    Jaws hold if both surface normals are in the cone of friction about the line between the pads,
+    and no point of the part is inside an open finger or the palm; a finger may go into a hole or
+    between two walls. The score is then the share of random trials (position of the tool, friction,
+    centre of mass) in which both pads meet the part within the cone, before the rest of a finger
+    does, and hold the load. It is the minimum over an upright tool and one that leans to four
+    sides. If the jaws do not hold, it is 0. In the first trial, the tool is at its planned pose.
 
     Args:
         center_m: the part's centre of mass.
-        count: places that are tried, evenly over the surface.
-        chances: their number for each grip.
-        seed: for the chances.
+        count: number of places that are tried, evenly over the surface.
+        chances: number of random trials for each grip.
+        seed: seed for the random trials.
     """
     rng = np.random.default_rng(seed)
     point, normal = spread_points(mesh, count)
@@ -167,7 +167,7 @@ def jaw_places(
 
 
 def _displaced(doubt: Doubt, count: int, seed: int) -> Float[np.ndarray, "k 4 4"]:
-    """Return possible true poses of a tool in its planned frame, at most three deviations off."""
+    """Return random true poses of a tool in its planned frame, within three standard deviations."""
     rng = stream(seed, 1)
     off = np.clip(rng.normal(size=(count, 6)), -3, 3)
     off[0] = 0
@@ -184,17 +184,17 @@ def closing(
     *,
     opening_m: float | None = None,
 ) -> PadContact | None:
-    """Return the contact of jaws that close on a mesh; None where a pad meets nothing.
+    """Return the contact of jaws that close on a mesh; None if a pad meets nothing.
 
-    Lines parallel to the jaws' axis are followed from each open pad to the other: the first surface
-    that a pad meets. What lies beyond an open pad is not between them. A pad touches what lies
-    within `PAD_GIVES_M` of the point that it meets first, and no surface behind that. The slope is
-    the tangent between the axis and the mean normal of what a pad touches. The flat face of a
-    finger, as wide and as long as the finger, lies along the plane that the pad touches: what is
-    more than `PAD_GIVES_M` before this plane keeps the pad off the part.
+    Lines parallel to the jaws' axis run from each open pad to the opposite pad; the pad meets the
+    first surface on them, and surfaces outside the open pads do not count. A pad touches all that
+    is within `PAD_GIVES_M` of the point that it meets first. The slope is the tangent of the angle
+    between the axis and the mean normal of the touched surface. The flat face of a finger, as wide
+    and as long as the finger, is in the plane that the pad touches: a surface more than
+    `PAD_GIVES_M` before this plane keeps the pad off the part.
 
     Args:
-        opening_m: between the open pads; by default, as far as they open.
+        opening_m: distance between the open pads; by default, the jaws' largest opening.
     """
     around = 2 * np.pi * np.arange(PAD_LINES) / PAD_LINES
     across = [np.zeros((1, 2))]
@@ -250,7 +250,7 @@ def _in_the_way(
 ) -> bool:
     """Return whether the part reaches into an open finger or the palm.
 
-    Between an open finger and the pad's place on the part lies its way, of which `closing` knows.
+    The gap between an open finger and the surface is not checked here; `closing` checks it.
     """
     x, y, z = ((probes - T[:3, 3]) @ T[:3, :3]).T
     thick, wide, long = jaws.finger_m
@@ -264,7 +264,7 @@ def _in_the_way(
 
 @kernel()
 def _far_side(origin, way, a, ab, ac, most_m):
-    """Return distance and index of each ray's last triangle within `most_m`; -1 for none."""
+    """Return the distance and index of each ray's last triangle within `most_m`; -1 if none."""
     distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)
     for i in range(len(origin)):
         for f in range(len(a)):
@@ -290,9 +290,9 @@ def _far_side(origin, way, a, ab, ac, most_m):
 
 @kernel()
 def _foremost(corners, most_x, half_y, low_z, high_z, lean_y, lean_z):
-    """Return how far triangles within a box that ends at `most_x` reach along x, over a plane.
+    """Return how far the triangles in a box that ends at `most_x` rise above a plane, along x.
 
-    The plane is `x + lean_y y + lean_z z = 0`. The value is -inf where no triangle is in the box.
+    The plane is `x + lean_y y + lean_z z = 0`. The result is -inf if no triangle is in the box.
     Each triangle is cut by the planes of the box (Sutherland and Hodgman, 1974).
     """
     axes, signs = (0, 1, 1, 2, 2), (1.0, 1.0, -1.0, 1.0, -1.0)

@@ -1,8 +1,8 @@
 """The surface under a tool, as heights over a plane across the tool's axis.
 
-A tool's frame has its origin where the tool is to touch, z along its axis away from the surface,
-and x and y across. A patch says how high the surface lies along z, over x and y: what a suction cup
-rests on, and what fingers meet. Meshes and measured depth give the same kind of patch.
+The origin of a tool's frame is its target point; z points along its axis away from the surface,
+and x and y are across. A patch is a grid over x and y of the surface's heights along z: a suction
+cup rests on this surface. Meshes and measured depth give the same kind of patch.
 """
 
 import math
@@ -24,9 +24,9 @@ _STEEPEST_RAD = math.radians(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patch:
-    """Heights [m] on a square grid about the tool's axis; NaN where no surface is, or is known.
+    """Heights [m] on a square grid about the tool's axis; NaN if no surface is there or known.
 
-    Node [i, j] stands at x = (j - n) * step_m and y = (i - n) * step_m, with 2 n + 1 nodes a side.
+    Node [i, j] is at x = (j - n) * step_m and y = (i - n) * step_m; each side has 2 n + 1 nodes.
     """
 
     height_m: Float[np.ndarray, "n n"]
@@ -70,13 +70,13 @@ def patch_of_depth(
     radius_m: float,
     step_m: float,
 ) -> Patch:
-    """Return the patch of a depth map: triangles between neighbouring pixels.
+    """Return the patch of a depth map, from triangles between neighbouring pixels.
 
-    Where depth is missing, and where neighbours stand so steeply to the line of sight that they may
-    be two surfaces, nothing is known.
+    Heights are NaN where depth is missing and where a triangle is so steep to the line of sight
+    that its pixels may be on two different surfaces.
 
     Args:
-        depth_m: z of each pixel, NaN where it is missing.
+        depth_m: z coordinate of each pixel, NaN if it is missing.
     """
     rows, columns = _window(depth_m.shape, camera, T_cam_tool, 1.5 * radius_m)
     y, x = np.mgrid[rows, columns].astype(np.float64)
@@ -90,7 +90,7 @@ def patch_of_depth(
 def _window(
     shape: tuple[int, ...], camera: Optics, T_cam_tool: Float[np.ndarray, "4 4"], radius_m: float
 ) -> tuple[slice, slice]:
-    """Return rows and columns about a ball round the tool's origin."""
+    """Return the rows and the columns of the pixels that show a ball around the tool's origin."""
     point = T_cam_tool[:3, 3]
     x, y = project(camera, point)
     wide = 2 + radius_m * max(camera.fx_px, camera.fy_px) / max(point[2] - radius_m, 1e-3)
@@ -102,7 +102,7 @@ def _window(
 
 
 def _nothing(radius_m: float, step_m: float) -> Float[np.ndarray, "n n"]:
-    """Return heights of a grid on which nothing was met yet."""
+    """Return the heights of an empty grid, which are all -inf."""
     n = int(np.ceil(radius_m / step_m)) + 1
     return np.full((2 * n + 1, 2 * n + 1), -np.inf)
 
@@ -120,9 +120,9 @@ def _highest_of_mesh(corner, step_m, height):
 
 @kernel()
 def _highest_of_depth(points, here, least_facing, step_m, height):
-    """Raise `height` by both triangles of each four neighbouring pixels that are one surface.
+    """Raise `height` to the triangles between neighbouring pixels that are on one surface.
 
-    `points` are in the camera's frame, `here` the same in the tool's.
+    `points` are in the camera's frame; `here` are the same points in the tool's frame.
     """
     for i in range(points.shape[0] - 1):
         for j in range(points.shape[1] - 1):
@@ -136,7 +136,7 @@ def _highest_of_depth(points, here, least_facing, step_m, height):
 
 @kernel()
 def _is_surface(a, b, c, least_facing):
-    """Return whether a triangle is known and not steep to the line of sight (camera frame)."""
+    """Return whether a triangle (in the camera's frame) is known and not steep to its ray."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
     ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -147,7 +147,7 @@ def _is_surface(a, b, c, least_facing):
 
 @kernel()
 def _raise(a, b, c, step_m, height):
-    """Raise the nodes below a triangle to it; a node on an edge belongs to both."""
+    """Raise nodes below a triangle to its height; a node on an edge counts for both triangles."""
     n = len(height) // 2
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)

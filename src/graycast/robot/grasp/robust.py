@@ -20,8 +20,8 @@ SHAKE = 1.5  # At that acceleration, a part pulls with at most this multiple of 
 class Doubt:
     """The uncertainties of a grip as standard deviations of normal distributions.
 
-    `position_m` and `angle_rad` are of the tool on the part: calibration, robot and the part's pose
-    together. `friction_share` is of the friction. `center_m` is of the centre of mass, each way.
+    `position_m` and `angle_rad` describe the tool's pose on the part, with the errors of
+    calibration, robot and part pose. `friction_share` is relative; `center_m` is along each axis.
     """
 
     position_m: float = 1e-3
@@ -32,7 +32,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Burden:
-    """The load of the tool in its frame: a weight, its position, and the direction of gravity."""
+    """The load on a tool in its frame: a weight, its position, and the direction of gravity."""
 
     weight_n: float
     center_m: Float[np.ndarray, "3"]
@@ -42,10 +42,10 @@ class Burden:
 def robustness(
     cup: Cup, patch: Patch, burdens: Sequence[Burden], doubt: Doubt, *, seed: int, chances: int = 24
 ) -> float:
-    """The share of random trials in which the cup seals and holds; the minimum over all burdens.
+    """Return the share of random trials in which the cup seals and holds, the minimum over burdens.
 
-    The first chance is the grip as planned. Positions off by more than three deviations count as
-    three, so that the patch need not be larger than that.
+    The first trial is the planned grip. Larger errors than three standard deviations are reduced to
+    three, so that a patch with the radius `patch_radius_m` is large enough.
     """
     # Callers use the same seed for the places, so this uses another stream.
     rng = stream(seed, 1)

@@ -1,10 +1,10 @@
 """The seal of a suction cup on a surface, and the load that it holds.
 
-The seal follows Mahler et al., "Dex-Net 3.0", ICRA 2018: the cup is a cone of springs whose lip is
-laid on the surface; it seals where no spring is stretched or pressed by more than a tenth, and
-where nothing under the cup is open or unknown. The load follows from statics: the vacuum presses
-the lip on the surface, and that pressure carries forces across by friction and moments by its
-uneven spread.
+The seal follows Mahler et al., "Dex-Net 3.0", ICRA 2018. The cup is a cone of springs whose lip is
+laid on the surface. It seals if no spring is stretched or compressed by more than a tenth and if
+the surface under the cup is known and without gaps. The load follows from statics: the vacuum
+presses the lip on the surface; this pressure holds forces across the axis by friction, and holds
+moments because it can be uneven.
 """
 
 import math
@@ -56,17 +56,17 @@ class Cup:
 
     @property
     def pull_n(self) -> float:
-        """Force with which the vacuum pulls."""
+        """Force of the vacuum on the part."""
         return self.vacuum_pa * math.pi * self.radius_m**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seal:
-    """The state of a cup that is laid on a surface.
+    """The state of a cup on a surface.
 
-    `strain` is the largest change of a spring's length, as a share of it; NaN where the lip has
-    nothing to lie on. `open_share` is the share of the ground under the cup where no surface is, or
-    none is known.
+    `strain` is the largest relative change of a spring's length; NaN if there is no surface under
+    the lip. `open_share` is the share of the area under the cup in which there is no surface or the
+    surface is unknown.
     """
 
     strain: float
@@ -78,10 +78,10 @@ class Seal:
 
 
 def seal(cup: Cup, patch: Patch) -> Seal:
-    """Lay a cup on a surface, its lip along the tool's axis from above.
+    """Return the seal of a cup that is laid on a surface along the tool's axis.
 
-    The lip's middle is held at the tool's origin, so what matters is how uneven the surface is
-    about it. Blind holes within the lip do no harm; holes through and unknown ground do.
+    The middle of the lip is at the tool's origin, so only the unevenness of the surface around it
+    counts. Blind holes inside the lip do no harm; through holes and unknown areas break the seal.
 
     Raises:
         ValueError: the patch ends under the cup.
@@ -142,7 +142,7 @@ def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
 
 @kernel()
 def _between(height_m, place):
-    """Interpolate at a place in steps from the middle; NaN outside or next to a gap."""
+    """Return the height at a place (in grid steps from the middle); NaN outside or at a gap."""
     x, y = place[0] + len(height_m) // 2, place[1] + len(height_m) // 2
     j, i = math.floor(x), math.floor(y)
     if min(i, j) < 0 or max(i, j) >= len(height_m) - 1:
@@ -154,7 +154,7 @@ def _between(height_m, place):
 
 @kernel()
 def _open_share(height_m, radius, about):
-    """Return the share of missing nodes within a radius about a place; both in steps."""
+    """Return the share of missing nodes within a radius around a place; both are in grid steps."""
     missing, inside, n = 0, 0, len(height_m) // 2
     for y in range(math.ceil(about[1] - radius - 1), math.floor(about[1] + radius + 1) + 1):
         for x in range(math.ceil(about[0] - radius - 1), math.floor(about[0] + radius + 1) + 1):
@@ -174,21 +174,21 @@ def load_factor(
 ) -> Float[np.ndarray, " k"]:
     """Return the safety factor of a load on a sealed cup; below 1 the cup loses the part.
 
-    The lip is a ring that is pressed on the surface with N: the vacuum's pull and what the load
-    adds along the axis. Three limits, each met first by some load:
+    The lip is a ring that presses on the surface with the force N: the vacuum's force plus the
+    load's force along the axis. There are three limits:
 
     - pull: N > 0.
-    - friction: a force t across and a torque m about the axis slide the ring where
+    - friction: a force t across the axis and a torque m about it make the ring slide when
       (t / (friction N))^2 + (m / (friction N r))^2 = 1. Source: R. Howe and M. Cutkosky, 1996.
-    - tilt: a moment M across the axis lifts one side of a rigid ring where M = N r / 2.
+    - tilt: a moment M across the axis lifts one side of a rigid ring when M = N r / 2.
 
     Args:
         force_n: the force on the part, in the tool's frame.
-        moment_nm: its moment about the tool's origin.
-        friction: by default, the cup's.
+        moment_nm: the moment of the load about the tool's origin.
+        friction: coefficient of friction of each load; by default, the cup's.
 
     Returns:
-        The largest factor of the load at which all three hold; infinity where no load is too much.
+        The largest factor by which each load may grow within the three limits; infinity if any may.
     """
     slide_n = np.sqrt(
         force_n[..., 0] ** 2 + force_n[..., 1] ** 2 + (moment_nm[..., 2] / cup.radius_m) ** 2

@@ -1,10 +1,10 @@
 """Places where a suction cup holds a part, on a known mesh or on a measured surface.
 
-Places on a mesh are found once and carried to wherever the part lies by its pose.
-
-Without a model, after Mahler et al., "Dex-Net 3.0", ICRA 2018, section V: places are drawn in the
-mask, judged by how surely the cup seals and holds on the measured surface, and drawn again about
-the best ones (the cross-entropy method). Holes in the depth are unknown ground, on which no cup is
+Grips on a mesh are computed once, in the part's frame; a part's pose moves them to the world.
+Without a model, the search follows Mahler et al., "Dex-Net 3.0", ICRA 2018, section V: it samples
+places in the mask, scores how reliably the cup seals and holds on the measured surface, and samples
+again near the best places (the cross-entropy method). Gaps in the depth are unknown surface, on
+which a cup does not seal.
 taken to seal.
 """
 
@@ -36,15 +36,15 @@ def suction_places(
     count: int = 200,
     seed: int = 0,
 ) -> list[Grip]:
-    """Return all places that are tried, in order over the surface, even if a cup fails there.
+    """Return grips at places spread over the surface, even those at which the cup does not hold.
 
-    A place's score is its robustness with the tool's axis upright and leaning by up to
-    30 degrees to four sides, the least of the five: how the part will lie is not known yet.
+    The score of a grip is the minimum of its robustness with the tool upright and leaning by 30
+    degrees to four sides, because the orientation of the part in the bin is not known yet.
 
     Args:
         center_m: the part's centre of mass.
-        count: places that are tried, evenly over the surface.
-        seed: for the doubts.
+        count: number of places that are tried, evenly over the surface.
+        seed: seed for the random trials of the robustness.
     """
     points, normals = spread_points(mesh, count)
     places = []
@@ -61,7 +61,7 @@ def suction_places(
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthView:
-    """The depth that the robot uses [m], NaN where it is missing, and the pose of the camera."""
+    """The depth [m] that the robot uses, NaN if it is missing, and the pose of the camera."""
 
     depth_m: Float[np.ndarray, "h w"]
     camera: Optics
@@ -76,7 +76,7 @@ class DepthView:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripEstimate:
-    """Pose of a tool in the camera's frame, and the score (0 to 1) of its grip there."""
+    """The pose of a tool in the camera's frame, and the score of the grip at this pose (0 to 1)."""
 
     T_cam_tool: Float[np.ndarray, "4 4"]
     score: float
@@ -88,13 +88,13 @@ class GripEstimate:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuctionSearch:
-    """A search on the measured surface, without a model of the part.
+    """A search for suction grips on the measured surface, without a model of the part.
 
-    The cup stands along the normal of the plane through what lies under it.
+    The cup's axis is the normal of a plane that is fitted to the surface under the cup.
 
     Attributes:
-        weight_n: weight of what is lifted.
-        doubt: what is not known.
+        weight_n: weight of the part that is lifted.
+        doubt: uncertainties of the grip.
         most_lean_rad: largest angle between the tool's axis and the vertical.
     """
 
@@ -112,14 +112,14 @@ class SuctionSearch:
         count: int = 60,
         seed: int = 0,
     ) -> list[GripEstimate]:
-        """Return grips within a mask, best first; none if nothing would hold.
+        """Return grips within a mask, best first; the list is empty if no grip would hold.
 
         Args:
-            mask: where the cup's middle may go: one part, or the whole bin.
-            one_part: whether the mask is of one part: then its centre of mass is taken to be in
-                the middle of the mask's points, else under the cup, wherever that is.
-            count: places in each of three rounds.
-            seed: for places and doubts.
+            mask: pixels at which the cup's middle may be placed: one part, or the whole bin.
+            one_part: whether the mask shows one part. Its centre of mass is then assumed to be the
+                mean of the mask's points, otherwise the point under the cup.
+            count: number of places in each of three rounds.
+            seed: seed for the places and for the random trials.
         """
         rng, depth_m = np.random.default_rng(seed), self.view.depth_m
         rows, columns = np.nonzero(mask & np.isfinite(depth_m))
@@ -150,7 +150,7 @@ class SuctionSearch:
     def _grip(
         self, point: Float[np.ndarray, "3"], center: Float[np.ndarray, "3"], seed: int
     ) -> GripEstimate | None:
-        """Return a grip on a point, along the normal there; None where the cup cannot stand."""
+        """Return a grip at a point; None if the surface is unknown or leans too much there."""
         view, down = self.view, self.view.down
         normal = _normal(point, view, self.cup.radius_m)
         if normal is None or -normal @ down < np.cos(self.most_lean_rad):
@@ -171,7 +171,7 @@ def _normal(
 ) -> Float[np.ndarray, "3"] | None:
     """Return the normal of the least-squares plane through the depth within the cup's radius.
 
-    It points to the camera. It is None if fewer than ten points are measured there.
+    The normal points to the camera. The result is None if fewer than ten points are measured.
     """
     T_cam_eye = frame_on(point, -point / np.linalg.norm(point))
     patch = patch_of_depth(

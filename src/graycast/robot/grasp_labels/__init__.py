@@ -1,4 +1,4 @@
-"""Grasp labels of a dataset: where a tool would hold each part, and whether it does in physics."""
+"""Grasp labels of a dataset: grips on each part, and their success in a physics simulation."""
 
 from .label_options import Labelling, read_tool
 from .label_run import label_dataset

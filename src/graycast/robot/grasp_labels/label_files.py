@@ -37,10 +37,10 @@ class LabelFolder:
         return self.out / scene.split / f"{scene.scene_id:06d}.json"
 
     def write(self, scene: StoredScene, content: bytes) -> None:
-        """The labels of one scene, whole or not at all.
+        """Write the labels of one scene completely or not at all.
 
         Raises:
-            GraycastError: the disk refuses.
+            GraycastError: the file cannot be written.
         """
         path = self.of(scene)
         with suppress(FileExistsError):
@@ -52,10 +52,10 @@ class LabelFolder:
 def open_labels(
     dataset: StoredDataset, name: str, labelling: Labelling, seed: int
 ) -> Iterator[LabelFolder]:
-    """Make the folder of a set of labels, or go on with the same set.
+    """Make the folder of a set of labels, or open it again to continue the same set.
 
     Raises:
-        DatasetError: the folder is another set's, is in use, or the disk refuses.
+        DatasetError: the folder has another set, is in use, or cannot be written.
     """
     out = dataset.folder / GRASPS / name
     claim = _claim(dataset, labelling, seed)
@@ -113,7 +113,7 @@ def _refuse_other(out: Path, claim: dict[str, Any]) -> None:
 
 
 def _tidy(out: Path) -> None:
-    """Labels that turned out to be impossible leave no trace."""
+    """Remove a folder of labels in which no scene was labelled."""
     if any(out.glob("*/*.json")):
         return
     with suppress(OSError):
@@ -124,7 +124,7 @@ def _tidy(out: Path) -> None:
 
 
 def scene_json(labels: Sequence[GraspLabel], heap: ScenePoses, obj_ids: Sequence[int]) -> bytes:
-    """Return the labels of one scene as their file has them."""
+    """Return the labels of one scene as the content of their JSON file."""
     entries: list[dict[str, Any]] = [{"obj_id": obj_id, "grasps": []} for obj_id in obj_ids]
     for label in labels:
         T_part_tool = label.grip.T_part_tool
@@ -156,7 +156,7 @@ def read_scene_labels(path: Path) -> SceneGrasps:
     """Read the grasp labels of a scene from its file.
 
     Raises:
-        DatasetError: it is missing, damaged, or of another form.
+        DatasetError: the file is missing, damaged, or of another form.
     """
     try:
         return read_json(path, SceneGrasps)

@@ -10,13 +10,13 @@ from ..pick.tools import AnyTool
 
 
 class ToolFile(Settings):
-    """A file with the key `tool` alone."""
+    """A file that has only the key `tool`."""
 
     tool: AnyTool
 
 
 class Labelling(Settings):
-    """Options of a set of labels; other values make another set."""
+    """Options of a set of labels; labels with other options are another set."""
 
     tool: AnyTool
     places: int = Field(
@@ -47,7 +47,7 @@ class Labelling(Settings):
 
 
 def read_tool(path: Path) -> AnyTool:
-    """Read a file's tool; the file is a robot's cell, or has the section `tool` alone.
+    """Read the tool from a file, which is a robot's cell or has only the section `tool`.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or its tool has a wrong key.

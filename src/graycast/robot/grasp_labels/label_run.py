@@ -1,4 +1,4 @@
-"""Labels of all scenes of a dataset, by workers, into files that go on after any stop."""
+"""Grasp labels for all scenes of a dataset, made by workers; a stopped run can be continued."""
 
 import time
 from collections.abc import Callable
@@ -16,18 +16,18 @@ from .stored_world import GraspWorld, Stock, make_world, read_heap, read_stock
 
 
 class SceneLabeller:
-    """Labels scenes of one task; places are looked for once, for the first."""
+    """A worker that labels the scenes of one task; the first scene starts the search for grips."""
 
     def __init__(self, task: "LabelTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._threads, self._progress = task, threads, progress
         self._world: GraspWorld | None = None
 
     def make(self, scene_id: int) -> TaskResult:
-        """Label one scene, which is given by its index among all scenes of the dataset.
+        """Label one scene.
 
         Raises:
             DatasetError: a file of the scene is missing or damaged.
-            ConfigError: the tool fits round no part.
+            ConfigError: the tool fits around none of the parts.
         """
         start = time.perf_counter()
         task = self._task
@@ -59,7 +59,7 @@ class SceneLabeller:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelTask(Job):
-    """Data that a worker needs to label any scene of a dataset; no light is rendered."""
+    """Data that a worker needs to label any scene of a dataset; nothing is rendered."""
 
     RUNNER = SceneLabeller
 
@@ -83,17 +83,17 @@ def label_dataset(
     """Label the scenes of a dataset that are not labelled yet.
 
     Args:
-        name: of the set of labels, a folder of the dataset's `grasps`.
-        seed: of the choice of places.
-        files: the folder from which the paths of the dataset's configuration start.
-        on_result, on_failed: take results with the key of their scene, as in `generate`.
+        name: name of the set of labels, which is a folder in the dataset's `grasps`.
+        seed: seed for the choice of places.
+        files: the folder to which paths in the dataset's configuration are relative.
+        on_result, on_failed: receive the key of a scene and its result or failure.
 
     Returns:
-        The keys of scenes that could not be labelled.
+        The keys of the scenes that could not be labelled.
 
     Raises:
-        DatasetError: no such dataset, or labels of another tool are there.
-        GraycastError: nothing came out, for this reason.
+        DatasetError: the dataset does not exist, or the folder has labels with other options.
+        GraycastError: no scene could be labelled; the error names the reason.
     """
     dataset = open_dataset(folder)
     stock = read_stock(dataset, files)

@@ -1,4 +1,4 @@
-"""Share of grips that are held in the simulation, by the score that predicts it."""
+"""Success of labelled grips in the physics simulation, compared with their scores."""
 
 import math
 from collections import Counter
@@ -20,7 +20,7 @@ BANDS = ((0.0, 0.0), (0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.999), (0.99
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Band:
-    """Grips whose scores lie in a band, how many physics held, and that share with its interval."""
+    """The number of grips with scores in a band, and how many of them held in the simulation."""
 
     low: float
     high: float
@@ -33,7 +33,7 @@ class Band:
 
     @property
     def contradicted(self) -> bool:
-        """Whether scores below one half are held more often than not, or scores above it less."""
+        """Whether the interval shows that most grips hold below 0.5, or that most fail above it."""
         if not self.grips:
             return False
         _, low, high = self.rate
@@ -42,9 +42,9 @@ class Band:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ranking:
-    """A set of labels in figures.
+    """Statistics of a set of labels.
 
-    `auc` is of all grips that were carried out, `auc_above_0` of those whose score is above 0.
+    `auc` is for all simulated grips; `auc_above_0` is for those with a score above 0.
     """
 
     scenes: int
@@ -66,7 +66,7 @@ class Ranking:
 
 
 def rank(dataset: Path, name: str) -> Ranking:
-    """Read a set of labels.
+    """Read a set of labels and return its statistics.
 
     Raises:
         DatasetError: a file is damaged.
@@ -102,7 +102,7 @@ def _band(score: np.ndarray, success: np.ndarray, low: float, high: float) -> Ba
 
 
 def describe_ranking(ranking: Ranking) -> str:
-    """Return the success of the labels by their score, as lines of text with what contradicts."""
+    """Return the success of the labels by score as text, with notes on contradictions."""
     reach = ", ".join(f"{count} {name}" for name, count in ranking.reach.items())
     lines = [f"{ranking.labels} labels in {ranking.scenes} scenes: {reach}"]
     if not ranking.simulated:

@@ -1,4 +1,4 @@
-"""The labels of one scene: places on its parts, what is in the tool's way, and physics."""
+"""The grasp labels of one scene: grips on its parts, obstacles of the tool, and physics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ STILL_S = 0.3  # time that the part must hang on the tool after the lift
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ending:
-    """Outcome of a grip in physics."""
+    """The outcome of a grip in the physics simulation."""
 
     ended: str
     least_factor: float | None = None
@@ -40,8 +40,8 @@ class Ending:
 class GraspLabel:
     """A grip on an instance of a scene.
 
-    `reach` names what the tool would be in, and is 'free' where it is in nothing. `met` is what it
-    meets there; `ending` None where physics was not asked.
+    `reach` names what the tool would collide with; it is 'free' if there is no collision. `met` is
+    the tool's contact with the parts. `ending` is None if the grip was not simulated.
     """
 
     instance: int
@@ -57,9 +57,9 @@ def label_scene(
 ) -> tuple[GraspLabel, ...]:
     """Label all instances of a scene, one after the other.
 
-    Of each instance half of the places are such as the tool should hold by their score, the other
-    half such as it should not, as far as there are as many; so are those that physics carries out,
-    among what the tool reaches.
+    For each instance, half of the chosen grips have a score above 0 and half have the score 0, if
+    there are enough of each. The grips that are simulated are chosen in the same way, from those
+    whose `reach` is 'free'.
     """
     rng = stream(seed, scene_id)
     still = around(world, heap)
@@ -79,7 +79,7 @@ def label_scene(
 def _selection(
     world: GraspWorld, heap: ScenePoses, labelling: Labelling, number: int, rng: np.random.Generator
 ) -> list[Grip]:
-    """Return places of one instance whose axis does not lean too much."""
+    """Return the chosen grips on one instance, without those whose axis leans too much."""
     up = heap.T_world_part[number, 2, :3]
     least = np.cos(np.radians(labelling.most_lean_deg))
     upright = [
@@ -92,7 +92,7 @@ def _selection(
 
 
 def _half_and_half(scores: Sequence[float], count: int, rng: np.random.Generator) -> list[int]:
-    """Pick `count` indices, half of them with score 0; if one half is short, the other fills up."""
+    """Return `count` random indices, half with score 0; more of one half if the other is short."""
     order = rng.permutation(len(scores)).tolist()
     good = [k for k in order if scores[k] > 0]
     bad = [k for k in order if scores[k] == 0]
@@ -122,10 +122,10 @@ def _label(
 
 
 def carry_out(world: GraspWorld, heap: ScenePoses, label: GraspLabel) -> Ending:
-    """Close the tool where it is, lift straight up, and see whether it still holds.
+    """Simulate a grip: close the tool, lift straight up, and return whether the part is still held.
 
-    The tool speeds up and slows down by `CARRIED_M_S2` and moves with `LIFT_M_S` between; it goes
-    so high that what lay on the bin's floor is `CLEAR_M` above its rim.
+    The tool accelerates and brakes with `CARRIED_M_S2` and moves at up to `LIFT_M_S`. It rises
+    until a part from the bin's floor is `CLEAR_M` above the bin's rim.
     """
     met = label.met
     if not isinstance(met, PartGrip):
@@ -151,7 +151,7 @@ def carry_out(world: GraspWorld, heap: ScenePoses, label: GraspLabel) -> Ending:
 def straight_up(
     T_world_tool: Float[np.ndarray, "4 4"], rise_m: float
 ) -> Float[np.ndarray, "t 4 4"]:
-    """Return a pose for each step: even acceleration, even speed, the same backwards, and still."""
+    """Return a pose for each step of a lift: acceleration, constant speed, braking, and rest."""
     gain_s = LIFT_M_S / CARRIED_M_S2
     whole_s = rise_m / LIFT_M_S + gain_s
     time_s = np.arange(0, whole_s + STILL_S, STEP_S)

@@ -1,4 +1,4 @@
-"""A stored dataset as a world: its bin and parts as they were, and where a tool holds these."""
+"""The world of a stored dataset: its bin, its parts, and the grips on these parts."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +38,7 @@ class Stock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspWorld:
-    """A `Stock` with the bodies of its parts, and with every grip that was tried on each kind."""
+    """A `Stock` with the bodies of its parts, and with all tried grips on each kind of part."""
 
     stock: Stock
     tool: Tool
@@ -61,11 +61,11 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
     """Return the parts, the bin and the rig of a dataset.
 
     Args:
-        files: the folder from which the configuration's paths start.
+        files: the folder to which the paths in the configuration are relative.
 
     Raises:
-        DatasetError: its poses are not known, or the files of its parts or its bin have changed.
-        GraycastError: a file that the configuration names cannot be used.
+        DatasetError: the poses are not known, or files of the parts or of the bin have changed.
+        GraycastError: a file in the configuration cannot be used.
     """
     claim = dataset.claim
     if dataset.real:
@@ -99,10 +99,10 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
 def make_world(
     stock: Stock, labelling: Labelling, *, progress: ProgressMeter = UNWATCHED
 ) -> GraspWorld:
-    """Look for places on every kind of part.
+    """Return a stock with its bodies, and search for grips on each kind of part.
 
     Raises:
-        ConfigError: the tool fits round no part at all.
+        ConfigError: the tool fits around none of the parts.
     """
     bodies = make_bodies(stock.parts, progress=progress)
     places = []
@@ -142,7 +142,7 @@ def read_heap(scene: StoredScene) -> ScenePoses:
 
 
 def around(world: GraspWorld, heap: ScenePoses) -> tuple[Obstacle, ...]:
-    """Bin, table and rig."""
+    """Return the bin, the table and the rig as obstacles."""
     stock = world.stock
     scene = Scene(rig=stock.rig, T_world_cam=heap.T_world_cam, parts=stock.parts, bin=stock.bin)
     return standing(scene, np.eye(4))

@@ -1,12 +1,12 @@
-"""A simulated robot that empties a bin: from light to the lifted part.
+"""A simulated robot that empties a bin, from the rendered light to the lifted part.
 
-pick_sections, robot_cell, ready, arms, robot   the cell that is written, read, and prepared
-tools, suction_tool, jaw_tool, contact          grippers: what is asked of them, and which are
-bin_scan, aim, choose      a scan, the grips on it, and the one that is taken
+pick_sections, robot_cell, ready, arms, robot   the robot's cell: settings, files and preparation
+tools, suction_tool, jaw_tool, contact          grippers: their protocol, their kinds, and grips
+bin_scan, aim, choose      a scan, the grips on the scanned parts, and the choice of a grip
 obstacles, motion, ways    paths of the arm
-touch, carry, episode      what then happens, pick after pick
-outcome, pick_files, pick_run, clock            results, their folder, many bins
-summary, replay, solids    results for people
+touch, carry, episode      execution of the grip, and the sequence of picks from one bin
+outcome, pick_files, pick_run, clock            results, their folder, and runs over many bins
+summary, replay, solids    summaries and animations of the results
 """
 
 from .outcome import Attempt, Outcome

@@ -1,4 +1,4 @@
-"""From a scan to grips: the choice of parts, and the candidate places of the tool on them."""
+"""The order of the detected parts in a scan, and candidate grips on these parts."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ PLACES = 40  # Each round of the search without a model tries this many grips fo
 class Candidate:
     """A candidate part in the picture: its outline, a box [x, y, columns, rows], or both.
 
-    `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true
-    pose if it is to be used.
+    `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true pose if
+    the settings ask for it.
     """
 
     kind: int | None
@@ -51,7 +51,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Aim:
-    """A grip in the world: the pose of the tip, its score, and its source."""
+    """A grip in the world: the pose of the tool's tip, its score, and the part to grip."""
 
     T_world_tool: Float[np.ndarray, "4 4"]
     score: float
@@ -76,10 +76,10 @@ class KnownPart:
 def ranked(
     targets: Sequence[Candidate], view: DepthView, failed: Sequence[Float[np.ndarray, "3"]] = ()
 ) -> list[list[Candidate]]:
-    """Return detections that are seen well, in the order in which a bin is emptied.
+    """Return the detections with enough depth, in the order in which the robot tries them.
 
-    First those that lie free, then those that another part covers, then those on which a grip has
-    failed, because what held the part may hold it still; in each group the highest first.
+    The first group are free parts, the second are parts that another part covers, and the third are
+    parts on which a grip failed before. In each group, the highest part comes first.
     """
     point_m = points(view.camera, view.depth_m)
     area, height = [], []
@@ -100,9 +100,9 @@ def ranked(
 
 
 def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]) -> float:
-    """Return the share of an outline's pixels next to which a nearer surface is visible.
+    """Return the share of an outline's pixels that have a much nearer surface beside them.
 
-    There another part covers this one, or stands close before it.
+    Such a surface is another part that covers this part or is close in front of it.
     """
     around = np.ones((3, 3), bool)
     rim = inside & ~ndimage.binary_erosion(inside, around) & np.isfinite(depth_m)
@@ -115,7 +115,7 @@ def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h
 def _holds_any(
     target: Candidate, view: DepthView, place_m: Sequence[Float[np.ndarray, "3"]]
 ) -> bool:
-    """Return whether a place in the world is within a detection's outline."""
+    """Return whether any of the places in the world is within a detection's outline."""
     if not len(place_m):
         return False
     inside = target.inside(view.depth_m.shape)
@@ -126,7 +126,7 @@ def _holds_any(
 
 
 def whole_bin(view: DepthView, box: Bin) -> Bool[np.ndarray, "h w"]:
-    """Return pixels that were measured inside the bin, above its floor: all that may be parts."""
+    """Return the pixels measured inside the bin and above its floor, which may show parts."""
     depth_m = np.nan_to_num(view.depth_m)
     point = transform_points(view.T_world_cam, points(view.camera, depth_m))
     half = np.array(box.inner_m[:2]) / 2 - WALL_M
@@ -142,9 +142,9 @@ def aims_by_pose(
     most_lean_rad: float,
     posed: list[Candidate],
 ) -> list[Aim]:
-    """Grips of the models, carried to where the parts lie by their poses.
+    """Return known grips on the models, moved to the poses of the parts.
 
-    Targets whose pose is found are added to `posed`.
+    Targets with a pose are added to `posed`.
     """
     aims = []
     for target in targets:
@@ -186,7 +186,7 @@ def _pose(model: PoseModel, target: Candidate, view: DepthView) -> Float[np.ndar
 def aims_in_depth(
     targets: Sequence[Candidate], search: SuctionSearch, *, one_part: bool, count: int, seed: int
 ) -> list[Aim]:
-    """Grips on the measured surface, without a model."""
+    """Return grips on the measured surface, without a model of the part."""
     view = search.view
     return [
         Aim(T_world_tool=view.T_world_cam @ grip.T_cam_tool, score=grip.score, target=target)
@@ -198,12 +198,12 @@ def aims_in_depth(
 
 
 def trial_order(aims: Sequence[Aim]) -> list[Aim]:
-    """Highest score first; among scores within 0.1, the highest position first."""
+    """Sort grips: highest score first; if rounded scores are equal, the highest position first."""
     return sorted(aims, key=lambda aim: (-round(aim.score, 1), -float(aim.place_m[2])))
 
 
 def spread(aims: Sequence[Aim], apart_m: float, *, round_tool: bool) -> Iterator[Aim]:
-    """Remove grips that nearly repeat another: a near tip with a similar axis, and turned alike."""
+    """Yield grips without near repetitions, which have almost the same tip, axis and rotation."""
     taken: list[Aim] = []
     for aim in aims:
         axis = aim.T_world_tool[:3, 2]

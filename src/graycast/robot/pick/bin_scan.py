@@ -28,8 +28,8 @@ LEAST_SCORE = 0.3
 class BinScan:
     """The result of a scan, and the true scene from the same view.
 
-    `instance` is the number of the part in each pixel, -1 elsewhere: for truth's detections and
-    for pictures of outcomes. `seconds` are simulated: frames by exposure and read-out.
+    `instance` is the number of the true part at each pixel, or -1. `seconds` is the simulated time
+    of the frames: exposure and read-out.
     """
 
     view: DepthView
@@ -42,9 +42,9 @@ class BinScan:
 def scan(
     cell: PickCell, renderer: Renderer, layout: Layout, *, seed: np.random.SeedSequence
 ) -> BinScan:
-    """Scan the parts in their poses; depth that cannot be decoded is missing.
+    """Scan the parts at their poses; depth that cannot be decoded is missing.
 
-    If nothing looks at more than perfect depth, one sample a pixel makes the picture of the record.
+    If only perfect depth is used, the recorded picture is rendered with one sample per pixel.
 
     Raises:
         ValueError: the picture is dark, or a value is out of its range.
@@ -79,7 +79,7 @@ def scan(
 def _acted_on(
     cell: PickCell, rendering: Rendering, capture: Capture, seed: int
 ) -> Float[np.ndarray, "h w"]:
-    """Return the scanner's depth, or what simulators without one would give the robot."""
+    """Return the depth that the robot uses: the scanner's, perfect depth, or noisy depth."""
     picking = cell.config.picking
     if picking.depth == "scanner":
         noise = rendering.radiance.path_noise
@@ -94,7 +94,7 @@ def _acted_on(
 def _picture(
     cell: PickCell, renderer: Renderer, rendering: Rendering, seed: int
 ) -> UInt8[np.ndarray, "h w 3"] | None:
-    """Return the colour picture, which only a detector looks at."""
+    """Return the colour picture for the detector; None if there is no trained detector."""
     if cell.detector is None:
         return None
     return color_picture(cell.cell.scanner, rendering, denoiser=renderer.denoiser, seed=seed)
@@ -106,8 +106,8 @@ def targets(
     """Return the candidate parts in a scan.
 
     Args:
-        layout: the parts as they lie, for truth alone.
-        detector: an opened one, where the cell names one.
+        layout: the true poses of the parts; only for detections or poses from the truth.
+        detector: an opened detector if the cell names one.
     """
     picking = cell.config.picking
     if picking.detector == "none":
@@ -155,7 +155,7 @@ def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
 
 
 def _with_true_pose(target: Candidate, shot: BinScan, layout: Layout) -> Candidate:
-    """Return the pose of the part that most of a detection's pixels are of."""
+    """Return a detection with kind and true pose of the part that covers most of its pixels."""
     inside = shot.instance[target.inside(shot.instance.shape)]
     inside = inside[inside >= 0]
     if not len(inside):

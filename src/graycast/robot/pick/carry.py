@@ -1,4 +1,4 @@
-"""Execution of a grip: the tool grips, lifts and carries the part, and the rest settles."""
+"""Execution of a grip: the tool grips, lifts and carries the part, and the other parts settle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,9 +27,9 @@ FREED_M = 0.1  # Failed grips this near to a removed part may be tried again.
 class BinState:
     """A bin between two attempts.
 
-    `numbers` are of the parts that lie in it, in the layout's order. `hand_eye` maps planned places
-    of the tip to true ones: the calibration's error. `q` is where the arm is. Since something was
-    picked near by, grips failed at `tabu`, and the arm found no way to `blocked`.
+    `numbers` are the numbers of the parts in the bin, in the layout's order. `hand_eye` maps
+    planned poses of the tip to true ones (calibration error). `q` are the arm's joint angles. Near
+    `tabu`, grips failed; near `blocked`, no path was found. A pick nearby removes these entries.
     """
 
     layout: Layout
@@ -40,11 +40,11 @@ class BinState:
     blocked: tuple[Float[np.ndarray, "3"], ...] = ()
 
     def without_way(self, places_m: Sequence[Float[np.ndarray, "3"]]) -> "BinState":
-        """Return the same state with these places, to which the arm found no way."""
+        """Return the state with more places to which the arm found no path."""
         return replace(self, blocked=(*self.blocked, *places_m))
 
     def gripped(self, place_m: Float[np.ndarray, "3"], *, taken: bool) -> "BinState":
-        """Return the state after a grip: note a failed place, or forget those near a pick."""
+        """Return the state after a grip: remember a failed place, or forget places near a pick."""
         if not taken:
             return replace(self, tabu=(*self.tabu, place_m))
         tabu, blocked = (
@@ -56,7 +56,7 @@ class BinState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carried:
-    """Outcome of a grip; fields as in `Attempt`, but `part` is the index in the layout."""
+    """The outcome of a grip; fields as in `Attempt`, but `part` is an index in the layout."""
 
     outcome: Outcome
     detail: str = ""
@@ -67,7 +67,7 @@ class Carried:
 
 
 def carry_out(ready: Ready, world: BinState, choice: Choice) -> tuple[Carried, BinState]:
-    """Execute the chosen grip in the true world."""
+    """Execute the chosen grip on the true parts; return its outcome and the new bin state."""
     layout, aim = world.layout, choice.aim
     met = touch(
         ready.tool,
@@ -132,7 +132,7 @@ def _path(
     """Return the true poses of the tool with the part, one for each step of the engine.
 
     Args:
-        T_world_tool: where it truly is at the start, which the arm's own account differs from.
+        T_world_tool: the tool's true pose at the start, which differs from the planned pose.
     """
     T_tip_true = inverse(ready.tip(ways.down.q[-1])) @ T_world_tool
     poses = []
@@ -145,7 +145,7 @@ def _path(
 def _settled(
     ready: Ready, world: BinState, T_world_part: Float[np.ndarray, "n 4 4"], keep: np.ndarray
 ) -> BinState:
-    """Return the remaining parts, at rest again, without those that fell out of the bin."""
+    """Return the bin with the remaining parts at rest again, without parts that fell out of it."""
     box, limits = ready.cell.box, ready.cell.config.drop
     numbers, index, poses = world.numbers[keep], world.layout.part_index[keep], T_world_part[keep]
     if not len(numbers):
@@ -159,7 +159,7 @@ def _settled(
 
 
 def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] | None:
-    """Return the error of the pose of a grip, compared with the nearest part of its kind."""
+    """Return the pose error of a grip, compared with the nearest part of its kind; or None."""
     if aim.T_cam_part is None or aim.target.kind is None:
         return None
     scene, kind = ready.cell.cell.scene, aim.target.kind
@@ -174,6 +174,6 @@ def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] |
 
 
 def _blamed(outcome: Outcome, error: tuple[float, float] | None) -> Outcome:
-    """Attribute a failure to the pose if the pose was wrong."""
+    """Return `WRONG_POSE` if the pose was wrong, otherwise the given outcome of the failure."""
     off = error is not None and (error[0] > WRONG_RAD or error[1] > WRONG_M)
     return Outcome.WRONG_POSE if off else outcome

@@ -1,4 +1,4 @@
-"""The choice of a grip: the best that can be reached on the parts that lie highest."""
+"""The choice of a grip: the best reachable grip on the highest parts of the heap."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ _MISSING = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A grip with the arm's paths to it and away with the part."""
+    """A grip with the arm's paths to the grip and away from it with the part."""
 
     aim: Aim
     ways: Ways
@@ -52,23 +52,23 @@ def choose(
     seed: int,
     clock: Clock,
 ) -> Choice | Blocked:
-    """Choose a grip for the targets, or state why there is none.
+    """Return a grip on one of the targets, or the reason why there is none.
 
-    A grip near one to which no way was found waits until all others were tried: what is too far
-    for the arm, or too steep, is so all round.
+    A grip near another one to which no path was found is tried after all others, because it is
+    probably too far or too steep for the arm, too.
 
     Args:
         q: the arm's present joint angles.
-        tabu: places where grips failed before.
-        blocked: places to which no way was found before.
-        seed: for places and plans.
+        tabu: places at which grips failed before.
+        blocked: places to which no path was found before.
+        seed: seed for places of grips and for path planning.
     """
     picking = ready.cell.config.picking
     why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
     heaps, posed, reached = _Heaps(ready, view), list[Candidate](), int(bool(targets))
 
     def aims() -> Iterator[Aim]:
-        """Yield grips in the order of trial, which depends on the sought places, too."""
+        """Yield grips in the order of trial; grips near a place of a failed plan come last."""
         nonlocal why, reached
         later = []
         for together in _together(ranked(targets, view, (*tabu, *blocked)), picking.targets):
@@ -104,7 +104,7 @@ def choose(
 
 
 def _together(groups: Sequence[Sequence[Candidate]], count: int) -> Iterator[Sequence[Candidate]]:
-    """Yield batches of targets; each batch is from one group."""
+    """Yield batches of up to `count` targets; each batch is from one group."""
     for group in groups:
         for start in range(0, len(group), count):
             yield group[start : start + count]
@@ -119,7 +119,7 @@ def _near(
 def _aims(
     ready: Ready, targets: Sequence[Candidate], view: DepthView, seed: int, posed: list[Candidate]
 ) -> list[Aim]:
-    """Return grips on some targets; add the targets that were searched for grips to `posed`."""
+    """Return grips on some targets; add the targets with a known pose or surface to `posed`."""
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
     search = ready.tool.in_depth
@@ -144,7 +144,7 @@ class _Heap:
 
 
 class _Heaps:
-    """The measured heap; for a tool that reaches round a part, without the part."""
+    """The measured heap as an obstacle; for a tool that reaches round a part, without this part."""
 
     def __init__(self, ready: Ready, view: DepthView) -> None:
         self._ready, self._shape = ready, view.depth_m.shape
@@ -165,9 +165,9 @@ class _Heaps:
 
 
 def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
-    """Whether the measured surface under a tool differs from the part at its pose.
+    """Return a reason if the measured surface under a tool differs from the part; else None.
 
-    Another part lies on it, or the pose is wrong.
+    If it differs, another part is on top of it, or the pose is wrong.
     """
     ground_m = ready.tool.ground_m
     if ground_m is None or aim.T_cam_part is None:
@@ -191,7 +191,7 @@ def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
 
 
 def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:
-    """Whether the tool alone would collide at the grip, which is fast to check."""
+    """Return a reason if the tool alone would collide at the grip; this check is fast."""
     obstacles = (*ready.here.standing, heap.obstacle)
     tool = ready.tool.pieces(aim.opening_m)
     hit = tool_touches(tool, ready.here.flange(aim.T_world_tool), obstacles)
@@ -218,11 +218,11 @@ def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | B
 
 
 def _load(ready: Ready, aim: Aim) -> Load:
-    """Return how far the part extends from the tip.
+    """Return the extent of the part from the tip.
 
-    An unknown part extends as far as the largest may, but not through the floor on which it
-    lies. At a height h above the floor, with a tool that leans by an angle a, that is at most h
-    cos a + size sin a below the tip once the tool is upright.
+    An unknown part is assumed as large as the largest part, but it cannot reach through the floor.
+    If the tip is at height h above the floor and the tool leans by an angle a, the part is at most
+    h cos a + size sin a below the tip once the tool is upright.
     """
     if aim.T_part_tool is None:
         size_m, axis = ready.load.below_m, aim.T_world_tool[:3, 2]

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 
 class Clock:
-    """`with clock("plan"): ...` adds the time to that stage's."""
+    """A stopwatch: `with clock("plan"): ...` adds the elapsed time to the stage "plan"."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

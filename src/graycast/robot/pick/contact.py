@@ -1,4 +1,4 @@
-"""Contact of a tool with the true parts: the part that it holds, or why it holds none."""
+"""The contact of a tool with the true parts: the held part, or the reason why none is held."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # `grasp.load_factor` 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartGrip:
-    """A tool that holds a part: which, how, and where its tip came to rest."""
+    """A part held by a tool: the part's index, the hold, and the true pose of the tool's tip."""
 
     part: int
     hold: Hold
@@ -33,11 +33,11 @@ class PartGrip:
         law: LoadLaw,
         stiffness_n_m: float,
     ) -> "PartGrip":
-        """Return a part in a tool with the law that gives the safety factor of a load.
+        """Return a grip of a part by a tool.
 
         Args:
-            law: safety factors of forces [N] and moments [Nm] in the tool's frame, each (k, 3).
-            stiffness_n_m: of the tool along each axis.
+            law: function that returns safety factors of forces [N] and moments [Nm], each (k, 3).
+            stiffness_n_m: stiffness of the tool along each axis.
         """
 
         def factor(force_n: np.ndarray, moment_nm: np.ndarray) -> float:
@@ -54,7 +54,7 @@ class PartGrip:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoGrip:
-    """A tool that holds nothing: why, and the part that it met, if any."""
+    """The reason why a tool holds no part, and the part that it touched, if any."""
 
     outcome: Outcome
     detail: str = ""
@@ -68,7 +68,7 @@ def near_parts(
     part_index: Int[np.ndarray, " n"],
     radius_m: float,
 ) -> Iterator[tuple[int, Mesh, Float[np.ndarray, "4 4"]]]:
-    """Yield number, mesh and `T_part_tool` of parts near the axis of the tool."""
+    """Yield the number, the mesh and `T_part_tool` of each part near the tool's axis."""
     for number, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
         mesh = parts[kind].mesh
         low, high = mesh.bounds_m

@@ -1,8 +1,8 @@
-"""One bin: filled by a drop, and emptied by scans, grips and lifts until nothing more can be done.
+"""One bin, which is filled by a drop and emptied by the robot until it has to stop.
 
-The world is the drop's own, continued: a part is lifted out among its neighbours by physics, and
-the rest come to rest again before the next scan. A failed grip leaves its part where it lies, or
-where it fell.
+The physics of the drop continues: each part is lifted from among its neighbours, and the other
+parts come to rest again before the next scan. A failed grip leaves its part at its place or
+wherever the part fell.
 """
 
 from dataclasses import dataclass, replace
@@ -38,9 +38,9 @@ AXIS_M = 0.05
 class Episode:
     """The record of one emptied bin.
 
-    `filled` is how many parts there were, `taken` how many the tool took out, `left` how many lie
-    in the bin at the end; the rest fell beside it. `pictures` (RGB) and `depths_m` (what the robot
-    acted on) are of each attempt. `kinds` says of each part which of the cell's parts it is.
+    `filled` is the number of parts at the start, `taken` of parts that the tool took out, `left` of
+    parts in the bin at the end; all others fell outside. Each attempt has an entry in `pictures`
+    (RGB) and `depths_m` (used by the robot). `kinds` has each part's index among the cell's parts.
     """
 
     bin_id: int
@@ -65,7 +65,7 @@ def empty_bin(
     seed: int,
     progress: ProgressMeter = UNWATCHED,
 ) -> Episode:
-    """Fill a bin and empty it.
+    """Fill a bin, empty it, and return the record.
 
     Raises:
         DropError: the parts did not come to an acceptable rest.
@@ -176,7 +176,7 @@ def _attempt(
 
 
 def _sampled(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t joints"]]:
-    """Return the whole motion, a pose every `POSE_STEP_S`."""
+    """Return times and joint angles of the whole motion, one row every `POSE_STEP_S`."""
     times, angles, before = [], [], 0.0
     for way in ways.all:
         for t in np.arange(0.0, way.seconds, POSE_STEP_S):
@@ -208,7 +208,7 @@ def _picture(bin_scan: BinScan, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _label(image: UInt8[np.ndarray, "h w 3"], text: str) -> None:
-    """Write white words on a dark ground, at the top left."""
+    """Write white text on a black background at the top left of a picture."""
     font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
     (width_px, height_px), below_px = cv2.getTextSize(text, font, size, 1)
     corner = (width_px + 11, height_px + below_px + 7)

@@ -1,4 +1,4 @@
-"""Parallel jaws below a palm: settings, and the answers to the questions of `tools.Tool`."""
+"""Parallel jaws below a palm: settings, and the methods of the protocol `tools.Tool`."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -42,7 +42,7 @@ class JawTool(Settings):
     soft: ClassVar[tuple[Mesh, ...]] = ()
 
     def _open_m(self, opening_m: float | None) -> float:
-        """Return the distance between the pads before they close on a part of this width."""
+        """Return the distance between the open pads before they close on a part of this width."""
         return self.jaws.opening_m if opening_m is None else opening_m + 2 * CLEARANCE_M
 
     def pieces(
@@ -76,7 +76,7 @@ class JawTool(Settings):
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
     ) -> PartGrip | NoGrip:
-        """Close the jaws until both pads touch."""
+        """Return the result of closing the jaws until both pads touch a part."""
         jaws, open_m = self.jaws, self._open_m(opening_m)
         met = []
         near = near_parts(T_world_tool, parts, T_world_part, part_index, jaws.opening_m)

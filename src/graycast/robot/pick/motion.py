@@ -1,8 +1,8 @@
-"""Collision-free paths by OMPL, timed as fast as the joints allow by TOPP-RA.
+"""Collision-free paths, planned by OMPL and timed by TOPP-RA as fast as the joints allow.
 
-A straight line in joint angles is taken where it is free, else RRT-Connect's tree finds a way that
-is then shortened. Calls to the collision check are counted, not seconds, so that one seed gives one
-path on any machine.
+If a straight line in joint angles collides, RRT-Connect plans a path, which is then shortened.
+The planner stops after a number of calls and not after a time, so that a seed gives the same path
+on any machine.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ Free = Callable[[Joints], bool]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
-    """Joint angles at times from 0 on, evenly spaced."""
+    """A motion: joint angles at evenly spaced times, which start at 0."""
 
     time_s: Float[np.ndarray, " t"]
     q: Float[np.ndarray, "t joints"]
@@ -46,16 +46,16 @@ class Trajectory:
         return float(self.time_s[-1])
 
     def at(self, time_s: float) -> Joints:
-        """Joint angles at a time, linear between those that are kept."""
+        """Return the joint angles at a time, with linear interpolation."""
         return np.array([np.interp(time_s, self.time_s, joint) for joint in self.q.T])
 
 
 def plan(
     robot: Robot, start: Joints, goal: Joints, obstacles: Sequence[Obstacle], *, seed: int
 ) -> Float[np.ndarray, "k joints"] | None:
-    """Corners of a collision-free path between two sets of joint angles; None if none was found.
+    """Return the corners of a collision-free path between two sets of joint angles, or None.
 
-    It is also None if the start or the goal collides.
+    The result is None if no path was found, or if the start or the goal collides.
     """
 
     def free(q: Joints) -> bool:
@@ -119,7 +119,7 @@ def _connected(
 
 
 def _angles(state: Any, count: int) -> Joints:
-    """Joint angles of a state of OMPL, whose types are imported with it alone."""
+    """Return the joint angles of an OMPL state."""
     return np.array([state[i] for i in range(count)])
 
 
@@ -135,9 +135,9 @@ def drive(
 ) -> Trajectory:
     """Return the fastest motion along a path that the joints' speeds and accelerations allow.
 
-    A spline through points `SPACED_RAD` apart follows the way, so that corners are rounded by less
-    than that. It starts and ends at rest. Accelerations rise and fall within `RISE_S`, as robots'
-    controllers let them: the mean over so long a time is driven, which is no faster anywhere.
+    A spline through points `SPACED_RAD` apart follows the path and rounds its corners by less than
+    that. The motion starts and ends at rest. A moving average over `RISE_S` smooths the steps in
+    acceleration, as robot controllers do; it makes no joint faster.
     """
     import toppra
     import toppra.algorithm
@@ -179,9 +179,9 @@ def straight(
     T_base_flange: Float[np.ndarray, "4 4"],
     obstacles: Sequence[Obstacle],
 ) -> Float[np.ndarray, "k joints"] | None:
-    """Return a straight motion of the flange with even rotation, for the approach and the retreat.
+    """Return the joint angles of a straight motion of the flange with even rotation.
 
-    It is None if a pose on the line is out of reach, collides, or makes a joint jump.
+    The result is None if a pose on the line is out of reach, collides, or makes a joint jump.
     """
     here = robot.flange(start)
     away_m = T_base_flange[:3, 3] - here[:3, 3]

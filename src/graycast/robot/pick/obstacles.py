@@ -1,13 +1,13 @@
 """The obstacles of the arm as shapes of Coal: bin, table, rig, and the measured heap.
 
-Measured points become heights over a grid on the bin's floor. Where the scanner saw nothing there
-may be a part: such a place is taken to be as high as the highest that was seen within `GUESSED_M`
-of the nearest place that was seen. So a shadow beside a part is as high as the part, and
-the middle of a dark, wide hole as high as its rim. An isolated point, such as a spike, is
-ignored. What was measured of the bin's walls is left out, since the bin is an obstacle of its own:
-else a part that is left out beside a wall would be guessed to be as high as the wall. Each place
-gets the height of its highest neighbour, because a scanner loses the rim of
-a part and the grid rounds. A tool therefore keeps a distance of `CELL_M`.
+Measured points become heights over a grid on the bin's floor. A node without a measurement may hide
+a part, so its height is guessed: the largest height within `GUESSED_M` of the nearest measured
+node. Hence a shadow beside a part is as high as the part, and the middle of a dark, wide hole is as
+high as its rim. An isolated point, such as a spike, is ignored. Points on the bin's walls are also
+ignored, because the bin is an obstacle of its own: otherwise, guesses beside a wall would be as
+high as the wall. Finally, each node gets the height of its highest neighbour, because a scanner
+does not measure the rim of a part and because the grid rounds positions. A tool therefore keeps a
+distance of `CELL_M`.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ RIG_M = 0.06  # half the thickness of the box around camera, projector and their
 
 
 def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obstacle, ...]:
-    """Return the table, which carries the robot, the bin, and a box about the rig."""
+    """Return the obstacles that do not move: table, bin, and a box around the rig."""
     import coal
 
     box = bin_of(scene)
@@ -61,7 +61,7 @@ def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obst
 
 
 def triangles(mesh: Mesh) -> Any:
-    """Return a mesh as a surface of triangles; a shape that is wholly inside does not touch it."""
+    """Return a mesh as Coal's surface of triangles, which a shape wholly inside does not touch."""
     import coal
 
     model = coal.BVHModelOBBRSS()
@@ -78,7 +78,7 @@ def triangles(mesh: Mesh) -> Any:
 
 
 def hull(vertices_m: Float[np.ndarray, "v 3"]) -> Any:
-    """Return the convex hull of points."""
+    """Return the convex hull of points as Coal's shape."""
     import coal
 
     points = coal.StdVec_Vec3s()
@@ -91,8 +91,8 @@ def hull(vertices_m: Float[np.ndarray, "v 3"]) -> Any:
 class MeasuredHeap:
     """Heights [m] above the bin's inner floor, in the world.
 
-    Node [i, j] stands at x = (j - (columns - 1) / 2) * CELL_M, and y likewise from i.
-    `is_measured` says where a point was.
+    Node [i, j] is at x = (j - (columns - 1) / 2) * CELL_M and y = (i - (rows - 1) / 2) * CELL_M.
+    `is_measured` is true at nodes with a measured point.
     """
 
     height_m: Float[np.ndarray, "rows columns"]
@@ -105,7 +105,7 @@ class MeasuredHeap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredPoints:
-    """The points [m, in the world] of a scan that may be of parts, and the pixel of each."""
+    """The points [m, in the world] of a scan that may be on parts, and their pixels."""
 
     point_m: Float[np.ndarray, "n 3"]
     pixel: Bool[np.ndarray, "h w"]  # in the same order as `point_m`
@@ -121,7 +121,7 @@ def measured_points(
     """Return the measured points, without spikes and without the walls of the bin.
 
     Args:
-        depth_m: z of each pixel, NaN where it is missing.
+        depth_m: z coordinate of each pixel, NaN if it is missing.
     """
     pixel = _supported(depth_m) & ~_of_wall(depth_m, camera, T_world_cam, box)
     point_m = transform_points(T_world_cam, points(camera, depth_m)[pixel])
@@ -131,10 +131,10 @@ def measured_points(
 def measured_heap(
     points: MeasuredPoints, *, without: Bool[np.ndarray, "h w"] | None = None
 ) -> MeasuredHeap:
-    """Return heights over the bin's inside.
+    """Return the measured and guessed heights above the bin's floor.
 
     Args:
-        without: pixels that are left out: the part that fingers are to close round.
+        without: pixels to ignore, which show the part that fingers are to grip.
     """
     size_m = points.box.inner_m
     keep = np.s_[:] if without is None else ~without[points.pixel]
@@ -150,7 +150,7 @@ def measured_heap(
 
 
 def heap_obstacle(heap: MeasuredHeap, T_base_world: Float[np.ndarray, "4 4"]) -> Obstacle:
-    """Solid from `BELOW_M` under the floor up to the measured heights."""
+    """Return a solid obstacle from `BELOW_M` under the floor up to the heights of the heap."""
     import coal
 
     rows, columns = heap.height_m.shape
@@ -168,7 +168,7 @@ def _of_wall(
     T_world_cam: Float[np.ndarray, "4 4"],
     box: Bin,
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the pixels whose points are on a wall of the bin, or on its rim."""
+    """Return a mask of the pixels that show a wall of the bin or its rim."""
     mesh = bin_mesh(box)
     face, z = visible_surface(T_world_cam, mesh.vertices_m, mesh.faces, camera)
     ray = picture_rays(camera)
@@ -181,7 +181,7 @@ def _of_wall(
 
 
 def _supported(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Return pixels of which `NEIGHBOURS` of the eight around them are about as deep."""
+    """Return a mask of the pixels with at least `NEIGHBOURS` neighbours of similar depth."""
     padded = np.pad(depth_m, 1, constant_values=np.nan)
     h, w = depth_m.shape
     count = np.zeros(depth_m.shape, np.int64)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 
 class Outcome(StrEnum):
-    """The outcome of a scan and its grip. The first four occur before the arm moves."""
+    """The outcome of a scan and its grip. The first four values occur before the arm moves."""
 
     NOTHING_FOUND = "nothing found"  # no part, no pose, or no place where a tool would hold
     COLLISION_SEEN = "collision seen"  # Every grip would push the tool into the measured heap.
@@ -39,25 +39,25 @@ WRONG_RAD, WRONG_M = np.radians(10.0), 5e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """A scan and its result.
+    """A scan and the result of its grip, if there was one.
 
     Attributes:
-        outcome: how it ended.
-        detail: in words, where there is more to say.
-        T_world_part: where every part lay before.
-        present: which parts were still in the cell.
-        part: the one that the tool met; None where it met none.
-        kind: what the picker took it for, by the part's place in the cell; None if unknown.
-        score: of the grip.
-        T_world_tool: where the tip was sent.
-        opening_m: of jaws.
-        pose_error: angle [rad] and distance [m] of the pose that the grip came from.
-        least_factor: the least by which the load was held.
-        lost_s: when the tool let go, from the start of the lift; None where it did not.
-        seconds: simulated: `scan` and `motion`.
-        work_s: of this machine, by stage; no part of what one seed makes again.
-        time_s, q: the arm's motion, joint angles [rad] over times [s].
-        targets: how many detections there were.
+        outcome: the outcome of the attempt.
+        detail: more about the outcome in words, or an empty text.
+        T_world_part: true poses of all parts before the grip.
+        present: numbers of the parts that were in the bin before the grip.
+        part: number of the part that the tool touched; None if it touched none.
+        kind: the assumed kind of the part, an index among the cell's parts; None if unknown.
+        score: score of the grip.
+        T_world_tool: planned pose of the tool's tip.
+        opening_m: opening of the jaws for the grip; None for a suction cup.
+        pose_error: error of the estimated pose of the part: angle [rad] and distance [m].
+        least_factor: the smallest safety factor of the load.
+        lost_s: time from the start of the lift to the loss of the part; None if it was not lost.
+        seconds: simulated times of `scan` and `motion`.
+        work_s: this machine's computing time by stage, which differs from run to run.
+        time_s, q: times [s] and joint angles [rad] of the arm's motion.
+        targets: number of detections.
     """
 
     outcome: Outcome
@@ -79,7 +79,7 @@ class Attempt:
     q: Float[np.ndarray, "t joints"] | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Fit for JSON; the motion and the machine's own seconds go elsewhere."""
+        """Return the record for JSON, without the motion and without `work_s`."""
         return {
             "outcome": str(self.outcome),
             "detail": self.detail,

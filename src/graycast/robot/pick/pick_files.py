@@ -1,12 +1,12 @@
 """Picks on disk: a folder of complete bins of one cell and one seed.
 
-picks.json            what the folder is of; another cell's picks are refused
+picks.json            the cell and the seed; picks with another cell or seed are refused
 bins/000000/
-    episode.json      counts, attempts and their outcomes, where parts lay
+    episode.json      counts, attempts and their outcomes, and the poses of the parts
     motion.json       the arm's joint angles over time, for each attempt
-    work.json         this machine's seconds by stage: the one file that differs from run to run
-    pictures/000.png  what the camera saw, where the tool went, and the outcome
-    depth/000.png     what the robot acted on, 16 bit, in steps of `DEPTH_STEP_M`; 0 is missing
+    work.json         this machine's computing time by stage; only this file differs between runs
+    pictures/000.png  the camera's picture with the tool's position and the outcome
+    depth/000.png     the depth that the robot used, 16 bit, unit `DEPTH_STEP_M`; 0 is missing
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,7 +35,7 @@ _LOCK = ".lock"
 
 
 def episode_files(episode: Episode) -> tuple[tuple[str, bytes], ...]:
-    """Return (path inside the bin's folder, content) of each file."""
+    """Return the files of a bin: each one's path inside the bin's folder, and its content."""
     attempts = episode.attempts
     record = {
         "bin_id": episode.bin_id,
@@ -88,7 +88,7 @@ class PickFolder:
         """Write one bin completely or not at all.
 
         Raises:
-            GraycastError: the disk refuses, or the bin is there already.
+            GraycastError: a file cannot be written, or the bin exists already.
         """
         with new_folder(self.out / BINS / f"{bin_id:06d}") as folder:
             for name, content in files:
@@ -99,10 +99,10 @@ class PickFolder:
 
 @contextmanager
 def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
-    """Make a folder of picks, or continue one of the same cell and seed.
+    """Make a folder of picks, or open it again to continue the same cell and seed.
 
     Raises:
-        DatasetError: the folder is another cell's, holds something else, or is in use.
+        DatasetError: the folder has picks of another cell, has other files, or is in use.
     """
     base = cell.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
@@ -140,10 +140,10 @@ def _tidy(out: Path) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredEpisode:
-    """A bin's `episode.json`, and this machine's seconds beside it.
+    """The content of a bin's `episode.json` and `work.json`.
 
-    `kinds` says of each part which of the cell's parts it is; empty where that was not
-    kept.
+    `kinds` has each part's index among the cell's parts; it is empty if the file does not contain
+    these.
     """
 
     bin_id: int
@@ -157,10 +157,10 @@ class StoredEpisode:
 
 
 def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
-    """Read all finished bins of a folder, in the order of their numbers.
+    """Read all finished bins of a folder, in the order of their ids.
 
     Raises:
-        GraycastError: the folder holds no picks, or a file is damaged.
+        GraycastError: the folder contains no picks, or a file is damaged.
     """
     if not (out / CLAIM).is_file():
         raise GraycastError(f"{out}: holds no picks: give a folder that graycast robot pick wrote")

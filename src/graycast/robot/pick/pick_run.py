@@ -16,7 +16,7 @@ from .robot_cell import PickCell
 
 
 class BinEmptier:
-    """Empties bins of one task; renderer and robot are opened for the first one and kept."""
+    """A worker that empties the bins of one task; it opens renderer and robot once."""
 
     def __init__(self, task: "PickTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
@@ -27,8 +27,8 @@ class BinEmptier:
         """Empty one bin.
 
         Raises:
-            DropError, ValueError: this bin cannot be filled; the next one may be.
-            ConfigError: robot, tool or place do not suit the cell.
+            DropError, ValueError: this bin cannot be filled; other bins may be possible.
+            ConfigError: the robot, the tool or the place does not suit the cell.
         """
         start = time.perf_counter()
         task = self._task
@@ -76,21 +76,21 @@ def pick(
     on_failed: Callable[[Failed], None] = lambda failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> tuple[int, ...]:
-    """Empty the bins 0 .. bins-1 that are not in `out` yet.
+    """Empty the bins 0 to bins - 1, except those that are finished in `out`.
 
     Args:
-        out: the folder of picks; made, or continued where the same cell began it.
-        device: of the renderer.
-        on_result: takes each result, as in `generate`.
-        on_failed: takes the reason of each try that failed.
+        out: the folder of picks, which is made, or continued if it has the same cell and seed.
+        device: device of the renderer.
+        on_result: receives each result, as in `generate`.
+        on_failed: receives each failed attempt at a bin, with the reason.
 
     Returns:
-        The bins that could not be made.
+        The ids of the bins that could not be made.
 
     Raises:
-        DatasetError: the folder is another cell's, is in use, or the disk refuses.
-        DeviceError: no such device here.
-        GraycastError, ValueError: nothing came out, for this reason.
+        DatasetError: the folder has picks of another cell, is in use, or cannot be written.
+        DeviceError: this machine does not have the device.
+        GraycastError, ValueError: no bin could be made; the error names the reason.
     """
     out = Path(out)
     device = workers.device(cell.config.render.backend, device)

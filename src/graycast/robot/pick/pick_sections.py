@@ -1,4 +1,4 @@
-"""Settings of a robot's cell: those of a dataset's cell, and robot, tool and picking."""
+"""Settings of a robot's cell: a dataset's configuration plus robot, tool and picking."""
 
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,7 @@ from .tools import AnyTool
 
 
 class RobotSection(Settings):
-    """An arm, and the place of its base."""
+    """Settings of the arm and of the position of its base."""
 
     arm: str = Field(
         default="ur5e",
@@ -35,7 +35,7 @@ class RobotSection(Settings):
 
 
 class PickingSection(Settings):
-    """Settings of how parts are found, gripped and put away."""
+    """Settings of the detection, the grips and the release of parts."""
 
     knows: Literal["part", "depth"] = Field(
         default="part",
@@ -132,7 +132,7 @@ class PickingSection(Settings):
 
 
 class PickConfig(Config):
-    """A robot's cell: the keys of a dataset's configuration, and these."""
+    """A robot's cell: a dataset's configuration with the keys robot, tool and picking."""
 
     robot: RobotSection = RobotSection()
     tool: AnyTool = SuctionTool()
@@ -150,7 +150,7 @@ class PickConfig(Config):
 
 
 def load_pick_config(path: Path | str) -> PickConfig:
-    """Read and check a robot's cell.
+    """Read and check the configuration of a robot's cell.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or has an unknown or wrong key.

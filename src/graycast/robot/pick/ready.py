@@ -28,11 +28,11 @@ _PLACES = 200
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
-    """Everything that picking needs in addition to the bin.
+    """The data that picking needs besides the contents of the bin.
 
-    `bare` is the arm without its tool. `alike` are the motions that leave each part's shape: a
-    gripper feels shapes, so how a part is painted makes no pose another. `known` are the parts by
-    their places in the cell, where grips come from models. `load` holds any of the parts.
+    `bare` is the arm without its tool. `alike` are the motions that leave each part's shape as it
+    is, even if they change its paint. `known` maps kinds of part to their grips; it is empty if the
+    grips do not come from models. `load` is a volume large enough for any of the parts.
     """
 
     cell: PickCell
@@ -56,16 +56,16 @@ class Ready:
         return max(body.mass_kg for body in self.bodies) * GRAVITY_M_S2
 
     def tip(self, q: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "4 4"]:
-        """`T_world_tip` from the arm's forward kinematics."""
+        """Return `T_world_tip` at joint angles, from the arm's forward kinematics."""
         return self.cell.T_world_base @ self.robot.flange(q) @ self.here.T_flange_tip
 
 
 def make_ready(cell: PickCell, *, progress: ProgressMeter = UNWATCHED) -> Ready:
-    """Open the robot and the detector, and search for grasps of the parts.
+    """Open the robot and the detector, and search for grips on the parts.
 
     Raises:
-        ConfigError: a robot, a place or a tool does not suit this cell; the error names it.
-        GraycastError: no such detector.
+        ConfigError: the robot, the place or the tool does not suit the cell; the error names which.
+        GraycastError: the detector does not exist.
     """
     config, parts = cell.config, cell.cell.scene.parts
     bare = open_robot(config.robot.arm, folder=cell.folder, home=config.robot.home_rad)
@@ -94,7 +94,7 @@ def make_ready(cell: PickCell, *, progress: ProgressMeter = UNWATCHED) -> Ready:
 
 
 def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
-    """Raise ConfigError if the arm collides at home or cannot reach the place of parts."""
+    """Return the surroundings; raise ConfigError if the arm collides at home or at `place_m`."""
     picking = cell.config.picking
     T_base_world = inverse(cell.T_world_base)
     still = standing(cell.cell.scene, T_base_world)
@@ -131,7 +131,7 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
 
 
 def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
-    """Raise ConfigError if the tool cannot hold the part anywhere."""
+    """Return a part's model and grips; raise ConfigError if the tool holds the part nowhere."""
     grips = best_first(grips_on(tool, part, body, count=_PLACES))
     if not grips:
         raise ConfigError(
@@ -142,7 +142,7 @@ def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
 
 
 def _detector(cell: PickCell) -> Any | None:
-    """Raise ConfigError if models are to be found and the detector does not tell parts apart."""
+    """Open the cell's detector, if any; raise ConfigError if it cannot tell the parts apart."""
     if cell.detector is None:
         return None
     from ...learn.detect import load_detector  # torch takes seconds to load

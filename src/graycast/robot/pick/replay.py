@@ -1,7 +1,7 @@
-"""A folder of picks for display: the shapes of the robot, and their poses over time.
+"""Data to display a folder of picks: the shapes of the robot, and their poses over time.
 
-Everything comes from the folder and from the configuration in it. A cell that names files of its
-own (a URDF, meshes) needs them where its paths lead.
+All data come from the folder and from the configuration in it. If the configuration names files
+(a URDF, meshes), these must exist at their paths.
 """
 
 from collections.abc import Mapping
@@ -32,8 +32,8 @@ AT_GRIP_M = 1e-3  # The tip may be this far off its target at the grip: files ar
 class Motion:
     """The robot's motion in one attempt, and the part that it carried.
 
-    `T_world_limb` says where each limb was at each time. At `grip` of these times the tool was at
-    the part. From there `part` went with the limb `carrier`, until `held_until_s`.
+    `T_world_limb` has the pose of each limb at each time. At `time_s[grip]`, the tool reaches the
+    part. From then until `held_until_s`, the part `part` moves with the limb `carrier` (an index).
     """
 
     time_s: Float[np.ndarray, " t"]
@@ -66,7 +66,7 @@ class Replay:
         *,
         closed: bool = False,
     ) -> Float[np.ndarray, "limbs 4 4"]:
-        """Return the poses of the limbs at joint angles [rad]; see `Tool.pieces`."""
+        """Return the poses of the limbs at joint angles [rad], for a tool as in `Tool.pieces`."""
         T_world_base, tool = self.cell.T_world_base, self.cell.config.tool
         arm = T_world_base @ self.robot.places(q)
         T_world_flange = T_world_base @ self.robot.flange(q)
@@ -78,7 +78,7 @@ class Replay:
         """Return the kind of each part of a bin, as an index into the cell's parts.
 
         Raises:
-            GraycastError: the folder does not say, and there are several.
+            GraycastError: the folder does not name the kinds, and the cell has several parts.
         """
         if len(episode.kinds) == episode.filled:
             return episode.kinds
@@ -91,15 +91,15 @@ class Replay:
 
 
 def open_replay(out: Path, *, folder: Path) -> Replay:
-    """Make a folder of picks ready to be shown.
+    """Return the data to display a folder of picks.
 
     Args:
         out: the folder of picks.
-        folder: where the relative paths of the cell's configuration start, if it has any.
+        folder: the folder to which paths in the cell's configuration are relative.
 
     Raises:
-        GraycastError: there are no picks, the claim is damaged, or files of the cell are
-            missing or changed.
+        GraycastError: the folder contains no picks, its `picks.json` is damaged, or files of the
+            cell are missing or changed.
     """
     if not (out / CLAIM).is_file():
         raise GraycastError(f"{out}: holds no picks: give a folder that graycast robot pick wrote")
@@ -135,10 +135,10 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
 
 
 def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None, ...]:
-    """Return the motion of each attempt of a bin; None where the arm did not move.
+    """Return the motion of each attempt in a bin; None if the arm did not move.
 
     Raises:
-        GraycastError: the file is damaged, or its motions are not the attempts'.
+        GraycastError: the file is damaged, or its motions do not fit the attempts.
     """
     path = replay.folder / BINS / f"{episode.bin_id:06d}" / MOTION
     try:
@@ -155,7 +155,7 @@ def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None,
 
 
 def _motion(replay: Replay, attempt: Mapping[str, Any], record: Mapping[str, Any]) -> Motion:
-    """Raise ValueError if times, angles and the grip are inconsistent."""
+    """Return a stored motion; raise ValueError if times, angles and grip are inconsistent."""
     robot, tool = replay.robot, replay.cell.config.tool
     time_s, q = np.array(record["time_s"], dtype=float), np.array(record["q"], dtype=float)
     if q.shape != (len(time_s), len(robot.home)) or not np.isfinite(q).all() or len(time_s) < 2:
@@ -183,7 +183,7 @@ def _motion(replay: Replay, attempt: Mapping[str, Any], record: Mapping[str, Any
 def _held_until(
     attempt: Mapping[str, Any], time_s: Float[np.ndarray, " t"], grip: int
 ) -> float | None:
-    """Return the time until which the tool carried the part; None if it did not, or if unknown."""
+    """Return the time until which the tool carried the part; None if not carried or unknown."""
     if attempt["part"] is None:
         return None
     if attempt["outcome"] in {str(outcome) for outcome in TAKEN}:
@@ -193,7 +193,7 @@ def _held_until(
 
 
 def _arm_limbs(robot: Robot) -> list[Mesh]:
-    """Return a mesh for each place of the arm; a point where a joint has no shape."""
+    """Return a mesh for each limb of the arm; for a limb without a shape, a single point."""
     all_limbs = robot.limbs()
     limbs = []
     for number in range(len(robot.home) + 1):

@@ -1,7 +1,7 @@
 """A robot: forward and inverse kinematics, and collision checks.
 
-Kinematics and collision are Pinocchio's and Coal's. A robot is one of the built-in arms or a URDF
-file of the user's. Its base's frame is the URDF's first link, z up.
+Pinocchio computes kinematics, and Coal computes collisions. A robot is a built-in arm or is read
+from the user's URDF file. Its base frame is the first link of the URDF, with z up.
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,9 +30,9 @@ ACCELERATION_RAD_S2 = 6.0
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Obstacle:
-    """Something convex or a box in the robot's base frame, as Coal knows it.
+    """A shape of Coal in the robot's base frame, with which the robot must not collide.
 
-    What `carries` the robot may touch its base.
+    The robot's base may touch it if `carries` is true.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Obstacle:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounted:
-    """A piece of a tool: something convex, as Coal knows it, in the flange's frame."""
+    """A piece of a tool: a convex shape of Coal in the flange's frame."""
 
     name: str
     shape: Any
@@ -57,7 +57,7 @@ class Mounted:
 
     @staticmethod
     def at(name: str, shape: Any, place_m: tuple[float, float, float]) -> "Mounted":
-        """Return a piece that is not turned."""
+        """Return a piece at a position, without rotation."""
         return Mounted(name=name, shape=shape, T_flange_shape=rigid(np.eye(3), np.array(place_m)))
 
 
@@ -103,21 +103,21 @@ class Robot:
         return np.array(self._model.velocityLimit)
 
     def flange(self, q: Joints) -> Float[np.ndarray, "4 4"]:
-        """`T_base_flange` at joint angles [rad]."""
+        """Return `T_base_flange` at joint angles [rad]."""
         import pinocchio as pin
 
         pin.framesForwardKinematics(self._model, self._data, q)
         return self._data.oMf[self._flange].homogeneous.copy()
 
     def limbs(self) -> tuple[tuple[int, Any, Float[np.ndarray, "4 4"]], ...]:
-        """Shapes of the limbs: the index in `places`, a shape of Coal, and `T_joint_shape`."""
+        """Return the limbs' shapes: index in `places`, shape of Coal, and `T_joint_shape`."""
         return tuple(
             (int(thing.parentJoint), thing.geometry, thing.placement.homogeneous.copy())
             for thing in self._geometry.geometryObjects
         )
 
     def places(self, q: Joints) -> Float[np.ndarray, "joints 4 4"]:
-        """`T_base_joint` of the base and of every joint, at joint angles [rad]."""
+        """Return `T_base_joint` for the base and for every joint, at joint angles [rad]."""
         import pinocchio as pin
 
         pin.forwardKinematics(self._model, self._data, q)
@@ -126,10 +126,10 @@ class Robot:
     def reach(
         self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints, *, seed: int
     ) -> list[Joints]:
-        """Joint angles that bring the flange to a pose, those nearest to `near` first.
+        """Return sets of joint angles that bring the flange to a pose, the nearest to `near` first.
 
-        Newton steps from `near` and from random starts; none where no start arrives within the
-        limits: out of reach, for all that is known.
+        Newton's method starts at `near` and at random angles. The list is empty if no start arrives
+        within the joints' limits; then the pose is assumed to be out of reach.
         """
         rng = np.random.default_rng(seed)
         starts = [near, *rng.uniform(self.low, self.high, (_STARTS - 1, len(near)))]
@@ -141,7 +141,7 @@ class Robot:
         return sorted(solutions, key=lambda q: float(np.abs(q - near).max()))
 
     def follow(self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints) -> Joints | None:
-        """Joint angles for a pose near the present one; None if Newton's method fails."""
+        """Return the joint angles for a pose that is close to the one at `near`, or None."""
         return self._solve(T_base_flange, near, near)
 
     def _solve(
@@ -166,7 +166,7 @@ class Robot:
         return None
 
     def touches(self, q: Joints, obstacles: Sequence[Obstacle]) -> str | None:
-        """The collision at joint angles: the arm itself or the first obstacle; None if free."""
+        """Return the name of the first obstacle that the robot hits, or "itself"; None if free."""
         import pinocchio as pin
 
         if pin.computeCollisions(self._model, self._data, self._geometry, self._placed, q, True):
@@ -176,7 +176,7 @@ class Robot:
         return _first_met(pieces, obstacles)
 
     def _own_pairs(self) -> None:
-        """Links that are not neighbours, and do not touch at home, may not touch each other."""
+        """Select the pairs of links to check: no neighbours, and none that touch at home."""
         import pinocchio as pin
 
         geometry = self._geometry
@@ -202,7 +202,7 @@ def tool_touches(
     T_base_flange: Float[np.ndarray, "4 4"],
     obstacles: Sequence[Obstacle],
 ) -> str | None:
-    """Return the obstacle with which the tool alone collides; None if there is none."""
+    """Return the name of an obstacle with which the tool alone collides; None if there is none."""
     placed = ((piece.shape, T_base_flange @ piece.T_flange_shape, False) for piece in pieces)
     return _first_met(placed, obstacles)
 
@@ -210,7 +210,7 @@ def tool_touches(
 def _first_met(
     pieces: Iterable[tuple[Any, Float[np.ndarray, "4 4"], bool]], obstacles: Sequence[Obstacle]
 ) -> str | None:
-    """The first obstacle that a piece meets; each piece: shape, pose, whether it is the base."""
+    """Return the first obstacle hit by a piece, which is (shape, pose, whether it is the base)."""
     import coal
 
     request, result = coal.CollisionRequest(), coal.CollisionResult()
@@ -232,18 +232,18 @@ def _placed(T: Float[np.ndarray, "4 4"]) -> Any:
 
 
 def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:
-    """Equivalent angles by whole turns, near to other angles and within the limits if possible."""
+    """Return the angles changed by whole turns: close to `near`, and within limits if possible."""
     turn = 2 * np.pi
     q = q + turn * np.round((near - q) / turn)
     return q + turn * ((q < low).astype(float) - (q > high))
 
 
 def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = None) -> Robot:
-    """Return a built-in arm by its name, or a URDF file relative to a folder.
+    """Return a built-in arm by its name, or read a robot from a URDF file in a folder.
 
     Raises:
-        ConfigError: no such robot, a file that is not read, a joint without end or without speed,
-            no link `flange`, or a home that does not fit the joints.
+        ConfigError: there is no such robot, the file cannot be read, a joint has no end or no speed
+            limit, there is no link `flange`, or `home` does not fit the joints.
     """
     import pinocchio as pin
 
@@ -282,10 +282,10 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
 
 
 def _check_limits(path: Path) -> None:
-    """Refuse a joint whose limit lacks an attribute; Pinocchio's error would name neither.
+    """Check the joints' limits for attributes that Pinocchio needs but does not name in its errors.
 
     Raises:
-        ConfigError: a joint that turns or slides has no limit, or one without speed or effort.
+        ConfigError: a revolute or prismatic joint has no limit, or its limit lacks speed or effort.
     """
     try:
         joints = ElementTree.parse(path).getroot().findall("joint")
@@ -311,7 +311,7 @@ def _check_joints(text: str, model: Any) -> None:
     """Check that there are joints, and that each has one variable, limits and a speed.
 
     Raises:
-        ConfigError: there is none, or one lacks these.
+        ConfigError: there is no joint, or a joint lacks one of these.
     """
     if not model.nq:
         raise ConfigError(

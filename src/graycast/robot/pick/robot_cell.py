@@ -1,4 +1,4 @@
-"""The cell of a robot with its files read, which all bins share and workers receive."""
+"""The resolved cell of a robot, which all bins share and which workers receive."""
 
 import hashlib
 from dataclasses import dataclass
@@ -21,9 +21,9 @@ from .pick_sections import PickConfig
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickCell:
-    """The part of a cell that drops and scans, and what the robot's sections say of the rest.
+    """A robot's cell with its files read: the cell for drops and scans, and the configuration.
 
-    `folder` is where relative paths start.
+    `folder` is the folder to which paths in the configuration are relative.
     """
 
     cell: Cell
@@ -43,7 +43,7 @@ class PickCell:
 
     @property
     def file_digests(self) -> dict[str, str]:
-        """SHA-256 of every file that the cell names, so that a changed one is noticed."""
+        """SHA-256 of every file in the configuration, by which changed files are detected."""
         named = {}  # paths as in the configuration, so that the folder can be moved
         if self.config.robot.arm not in ARMS:
             named[self.config.robot.arm] = self.folder / self.config.robot.arm
@@ -67,10 +67,10 @@ class PickCell:
 def resolve_pick_cell(
     config: PickConfig, folder: Path, *, progress: ProgressMeter = UNWATCHED
 ) -> PickCell:
-    """Read what a robot's cell names; `folder` is where its relative paths start.
+    """Read the files that a robot's cell names; their paths are relative to `folder`.
 
     Raises:
-        GraycastError, ValueError: a file or a value that cannot be used, named.
+        GraycastError, ValueError: a file or a value cannot be used; the error names it.
     """
     cell = PickCell(
         cell=resolve_cell(config, folder, progress=progress), config=config, folder=folder

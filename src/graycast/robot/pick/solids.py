@@ -14,10 +14,10 @@ ROUND = 24  # The mesh of a round shape has this many sides.
 
 
 def shape_mesh(shape: Any) -> Mesh:
-    """Return the surface of a shape that a robot or a tool is made of, in the shape's frame.
+    """Return the surface of a robot's or tool's shape, in the shape's frame.
 
     Raises:
-        ConfigError: a kind of shape that no URDF file makes.
+        ConfigError: the kind of the shape is not supported; no URDF file makes it.
     """
     import coal
     from trimesh import creation
@@ -43,7 +43,7 @@ def shape_mesh(shape: Any) -> Mesh:
 
 
 def joined(pieces: Iterable[tuple[Mesh, Float[np.ndarray, "4 4"]]]) -> Mesh:
-    """Meshes at their places as one."""
+    """Join meshes at their poses to one mesh."""
     vertices, faces, count = [], [], 0
     for mesh, T in pieces:
         vertices.append(transform_points(T, mesh.vertices_m.astype(np.float64)))

@@ -1,4 +1,4 @@
-"""A suction cup on a tube: settings, and the answers to the questions of `tools.Tool`."""
+"""A suction cup on a tube: settings, and the methods of the protocol `tools.Tool`."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -62,7 +62,7 @@ class SuctionTool(Settings):
 
     @property
     def soft(self) -> tuple[Mesh, ...]:
-        """The cup, from the lip up to its holder, about the tip's z."""
+        """Mesh of the cup from the lip to its holder, around the tip's z axis."""
         turn = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
         ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(ROUND)])
         top_m = np.array([0.0, 0.0, self.cup.height_m + self.stroke_m])
@@ -75,7 +75,7 @@ class SuctionTool(Settings):
     def pieces(
         self, opening_m: float | None = None, *, closed: bool = False
     ) -> tuple[Mounted, ...]:
-        """Return the tube, from the flange to where the bellows begin."""
+        """Return the tube, which extends from the flange to the bellows."""
         import coal
 
         long_m = max(self.length_m - self.cup.height_m - self.stroke_m, 1e-3)
@@ -94,7 +94,7 @@ class SuctionTool(Settings):
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
     ) -> PartGrip | NoGrip:
-        """Lay the cup along its axis on the part that is under its middle."""
+        """Return the result of laying the cup on the part that is under its middle."""
         height_m, number = self._under(T_world_tool, parts, T_world_part, part_index)
         middle = len(height_m) // 2
         part, at_m = int(number[middle, middle]), float(height_m[middle, middle])
@@ -131,7 +131,7 @@ class SuctionTool(Settings):
         T_world_part: Float[np.ndarray, "n 4 4"],
         part_index: Int[np.ndarray, " n"],
     ) -> tuple[Float[np.ndarray, "k k"], Int[np.ndarray, "k k"]]:
-        """Return the highest surface under the cup, and the part of each node; -1 for no part."""
+        """Return the heights under the cup, and the part's number at each node; -1 for no part."""
         radius_m = self.cup.radius_m
         size = 2 * (int(np.ceil(radius_m / STEP_M)) + 1) + 1
         height, number = np.full((size, size), np.nan), np.full((size, size), -1)

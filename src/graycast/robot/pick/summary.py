@@ -1,4 +1,4 @@
-"""A summary of picks: rates with intervals, outcomes and times, paired comparisons, and plots."""
+"""Summaries of picks: rates with intervals, outcomes, times, paired comparisons, and plots."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -24,16 +24,16 @@ class PickSummary:
     """Summary of all bins of a folder.
 
     Attributes:
-        bins: how many.
-        grips: attempts in which the arm went for a part.
-        picked: of these, those that took it out of the bin.
-        rate: `picked` over `grips`, with its 95 % interval (Wilson).
-        outcomes: all attempts by how they ended, most frequent first.
-        missing: attempts that found nothing, by what was not found.
-        cleared: bins that ended with nothing in them.
-        filled, taken, left, spilled: parts of all bins.
-        seconds: simulated, of all attempts: `scan`, `motion`.
-        work_s: median of this machine's seconds of an attempt, by stage.
+        bins: number of bins.
+        grips: number of attempts in which the arm moved to a part.
+        picked: number of these attempts that took the part out of the bin.
+        rate: `picked` divided by `grips`, with its 95 % interval (Wilson).
+        outcomes: number of attempts for each outcome, most frequent first.
+        missing: number of attempts that found nothing, for each detail of the outcome.
+        cleared: number of bins that were empty at the end.
+        filled, taken, left, spilled: numbers of parts, summed over all bins.
+        seconds: simulated times of all attempts: `scan`, `motion`.
+        work_s: this machine's median computing time for an attempt, by stage.
     """
 
     bins: int
@@ -52,17 +52,17 @@ class PickSummary:
 
     @property
     def thinking_s(self) -> float:
-        """This machine's median of detection, grips and plan for one attempt."""
+        """Sum of this machine's median computing times of detection, grips and plan per attempt."""
         return sum(self.work_s.get(stage, 0.0) for stage in ("detect", "grips", "plan"))
 
     @property
     def picks_per_hour(self) -> float:
-        """Picks per hour of robot and scanner alone, as if computing took no time."""
+        """Picks per hour if computing took no time."""
         return self._per_hour(0.0)
 
     @property
     def picks_per_hour_here(self) -> float:
-        """Picks per hour with this machine's median computing time for an attempt."""
+        """Picks per hour including this machine's median computing time for an attempt."""
         return self._per_hour(self.thinking_s)
 
     def _per_hour(self, computing_s: float) -> float:
@@ -71,7 +71,7 @@ class PickSummary:
 
 
 def summarize(episodes: Sequence[StoredEpisode]) -> PickSummary:
-    """Raise GraycastError if no bin is finished."""
+    """Return the summary of all bins; raise GraycastError if no bin is finished."""
     if not episodes:
         raise GraycastError("no bin is finished yet: run graycast robot pick first")
     attempts = [attempt for episode in episodes for attempt in episode.attempts]
@@ -108,10 +108,10 @@ def summarize(episodes: Sequence[StoredEpisode]) -> PickSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paired:
-    """Comparison of two arms over the same bins, attempt by attempt in order.
+    """Comparison of two runs over the same bins; attempts are paired in their order.
 
-    The first attempts of a bin are of one heap; later ones are of what each arm left, so that they
-    are alike and not equal. `p` is McNemar's, over the pairs in which both arms moved.
+    The first attempts in a bin have the same heap. Later heaps are similar, but they depend on what
+    each run has taken. `p` is McNemar's; the pairs are attempts in which the arms moved.
     """
 
     pairs: int
@@ -125,7 +125,7 @@ class Paired:
 
 
 def pair(first: Sequence[StoredEpisode], second: Sequence[StoredEpisode]) -> Paired:
-    """Raise GraycastError if the two have no common bin."""
+    """Compare two runs; raise GraycastError if no bin has grips of both runs."""
     others = {episode.bin_id: episode for episode in second}
     counts: Counter[tuple[bool, bool]] = Counter()
     for episode in first:
@@ -149,10 +149,10 @@ def _grips(episode: StoredEpisode) -> list[bool]:
 
 
 def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
-    """Runs over the same bins as a Markdown table; each is paired with the first.
+    """Return a Markdown table of runs over the same bins; each run is paired with the first.
 
     Raises:
-        GraycastError: one has no bin, or no common bin with the first.
+        GraycastError: a run has no bin, or no bin in common with the first run.
     """
     lines = [
         "| run | grips | success | 95 % | parts taken | cleared | picks an hour | with computing "
@@ -192,7 +192,7 @@ COLOR = {
 
 
 def plot_runs(runs: Mapping[str, PickSummary], path: Path) -> None:
-    """Write a PNG with a row for each run, the first on top.
+    """Plot the success rates, failures and remaining parts of runs, one row each, into a PNG file.
 
     Raises:
         GraycastError: the file cannot be written.

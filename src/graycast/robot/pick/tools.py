@@ -1,7 +1,7 @@
-"""Protocol of a tool (a gripper), and the tools that a file may choose.
+"""The protocol of a tool (a gripper), and the kinds of tool in a configuration.
 
-The tip's frame is that of `grasp`: origin where the tool touches, z along the axis back towards the
-flange, jaws close along x.
+The tip's frame is the same as in `grasp`: its origin is at the point of contact, z points along the
+axis back to the flange, and jaws close along x.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,14 +30,14 @@ AnyTool = Annotated[
 
 @runtime_checkable
 class Tool(Protocol):
-    """A tool at the flange; the rest of the program knows it only by this protocol.
+    """A tool at the flange; other modules use tools only by this protocol.
 
     Attributes:
-        lost: how an attempt ends in which the tool lets go on the way.
-        is_round: whether the tool may be turned about its axis as one likes; otherwise by half a
-            turn alone.
-        reaches_round: whether it stands beside the part: then its shape is another for each grip,
-            and what was measured of the part itself is not in its way.
+        lost: outcome of an attempt in which the tool loses the part on the way.
+        is_round: whether the tool may be rotated about its axis by any angle; otherwise, only by
+            half a turn.
+        reaches_round: whether the tool encloses the part from the sides: then its shape depends on
+            the grip, and measured points on the part are no obstacles.
     """
 
     lost: ClassVar[Outcome]
@@ -59,25 +59,25 @@ class Tool(Protocol):
 
     @property
     def ground_m(self) -> float | None:
-        """The radius about the tip within which the measured surface must be the part's.
+        """The radius around the tip in which the measured surface must agree with the part.
 
-        None for a tool that does not touch that surface.
+        It is None for a tool that does not touch this surface.
         """
         ...
 
     @property
     def soft(self) -> tuple[Mesh, ...]:
-        """Flexible shapes in the tip's frame; they appear in pictures and never collide."""
+        """Flexible shapes in the tip's frame, which are shown in pictures and never collide."""
         ...
 
     def pieces(
         self, opening_m: float | None = None, *, closed: bool = False
     ) -> tuple[Mounted, ...]:
-        """Return the rigid shapes at the flange.
+        """Return the rigid shapes of the tool.
 
         Args:
-            opening_m: that of a grip; left out: the tool is as open as it can be.
-            closed: whether the tool is at the part, or comes with some clearance.
+            opening_m: the opening of a grip; if None, the tool is as open as it can be.
+            closed: whether the tool is closed on the part; otherwise, it has some clearance.
         """
         ...
 
@@ -94,23 +94,23 @@ class Tool(Protocol):
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
     ) -> PartGrip | NoGrip:
-        """Return the result when the tip arrives at the true parts, if no rigid shape collides.
+        """Return the contact of the tool with the true parts, if no rigid shape collides.
 
         Args:
-            T_world_tool: where the tip is sent.
-            T_world_part, part_index: where parts lie, and their kinds.
-            opening_m: that of the grip; left out: the tool is as open as it can be.
+            T_world_tool: planned pose of the tip.
+            T_world_part, part_index: true poses of the parts, and their kinds.
+            opening_m: the grip's opening; if None, the tool is as open as it can be.
         """
         ...
 
 
 def T_flange_tip(tool: Tool) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of the tip, which is straight below the flange; their z axes are opposed."""
+    """Return the pose of the tip, straight below the flange; their z axes are opposite."""
     return rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, tool.length_m]))
 
 
 def grips_on(tool: Tool, part: Part, body: Body, *, count: int) -> list[Grip]:
-    """Try `count` places on a part; return also those where the tool does not hold."""
+    """Return grips at about `count` places on a part, even those that do not hold."""
     weight_n = body.mass_kg * GRAVITY_M_S2
     return tool.on_mesh(
         part.mesh, weight_n=weight_n, center_m=body.center_m, doubt=Doubt(), count=count

@@ -1,7 +1,7 @@
-"""The true contact of a tool at its target: the part, its neighbours, or nothing.
+"""The true contact of a tool at its target with the part, its neighbours, or nothing.
 
-Only this module and `Tool.meet` use the true poses of the parts. What stands in the way of a tool's
-stiff pieces by more than `PUSHED_M` is a collision that the scanner did not show.
+Only this module and `Tool.meet` use the true poses of the parts. If a rigid piece of a tool
+penetrates a part by more than `PUSHED_M`, this is a collision that the scanner did not show.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ PUSHED_M = 2e-3  # A tool pushes a part aside if it penetrates it by less than t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactPart:
-    """A kind of part as a tool meets it: its surface, and its hulls as Coal knows them."""
+    """A kind of part for contact checks: the part with its surface, and its hulls in Coal."""
 
     part: Part
     hulls: tuple[Any, ...]
@@ -43,12 +43,12 @@ def touch(
     *,
     opening_m: float | None = None,
 ) -> PartGrip | NoGrip:
-    """Move a tool to its target among the true parts.
+    """Return the contact of a tool at its target with the true parts.
 
     Args:
-        T_world_tool: where its tip is sent.
-        T_world_part, part_index: where parts lie, and their kinds.
-        opening_m: that of the grip; left out: the tool is as open as it can be.
+        T_world_tool: planned pose of the tip.
+        T_world_part, part_index: true poses of the parts, and their kinds.
+        opening_m: the grip's opening; if None, the tool is as open as it can be.
     """
     import coal
 

@@ -1,4 +1,4 @@
-"""The arm's paths of one pick: to the approach, down, up, and away to the place of parts."""
+"""The arm's paths for one pick: to the approach, down, up, and away to the place of release."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ ELBOWS = 3  # For each grip, at most this many configurations of the arm are tri
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ways:
-    """`to` ends before the grip, `down` at it; `off`, `up` and `away` carry the part.
+    """The five parts of a path: `to` the approach, `down` to the grip, `off`, `up` and `away`.
 
-    `off` is a short and slow way: a tool that is fast when the part's weight comes on it has to
-    pull it along with a jerk. A leaning tool is set upright at the end of its way up, or meanwhile
-    if the arm cannot reach so high while it leans: a heavy part would turn it out of its seal.
+    `off` is short and slow: if a fast tool takes over the part's weight, it pulls the part with a
+    jerk. A leaning tool becomes upright at the end of `up`, or during `up` if the arm cannot reach
+    that height while the tool leans: a heavy part would break the seal of a leaning cup.
     """
 
     to: Trajectory
@@ -48,13 +48,13 @@ class Ways:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Load:
-    """Extent of a held part from the tip: below it along the tool's axis, and sideways."""
+    """The extent of a held part from the tip: below it along the tool's axis, and sideways."""
 
     below_m: float
     aside_m: float
 
     def piece(self, T_flange_tip: Float[np.ndarray, "4 4"]) -> Mounted:
-        """Return a cylinder that holds all of it."""
+        """Return a cylinder that encloses the held part."""
         import coal
 
         below = T_flange_tip @ rigid(np.eye(3), np.array([0.0, 0.0, -self.below_m / 2]))
@@ -64,7 +64,7 @@ class Load:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blocked:
-    """The reason why no path was found, and the places of the grips [m] to which one was sought."""
+    """The reason why no path was found, and the positions [m] of the grips that were tried."""
 
     outcome: Outcome
     detail: str = ""
@@ -73,7 +73,7 @@ class Blocked:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """The fixed surroundings in planning; flange poses are in the robot's base frame."""
+    """The fixed obstacles and settings for planning; flange poses are in the robot's base frame."""
 
     T_base_world: Float[np.ndarray, "4 4"]
     T_flange_tip: Float[np.ndarray, "4 4"]
@@ -84,21 +84,21 @@ class Surroundings:
     lift_off_m_s: float
 
     def flange(self, T_world_tip: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """`T_base_flange` that brings the tip there."""
+        """Return the `T_base_flange` that brings the tip to a pose."""
         return self.T_base_world @ T_world_tip @ inverse(self.T_flange_tip)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaySearch:
-    """A search of paths to grips and away with the part.
+    """A search for paths to grips and away from them with the part.
 
     Attributes:
-        robot: with its tool.
-        obstacles: what stands still, and the measured heap, out of which the way down and up again
-            must keep, too.
-        up_m: how far the tip is raised before it is carried away.
-        load: the part on its way.
-        seed: of starts and planner.
+        robot: the robot with its tool.
+        obstacles: the fixed obstacles and the measured heap; the paths down to the grip and up from
+            it avoid these, too.
+        up_m: height by which the tip is raised before the part is carried away.
+        load: extent of the carried part.
+        seed: seed for the inverse kinematics and the planner.
     """
 
     robot: Robot
@@ -111,9 +111,9 @@ class WaySearch:
     def ways(
         self, q: Joints, T_world_tip: Float[np.ndarray, "4 4"], *, round_tool: bool
     ) -> Ways | Blocked:
-        """Return a path from joint angles to a grip and away with the part, or why there is none.
+        """Return paths from joint angles to a grip and away with the part, or why there are none.
 
-        A round tool may be turned about its axis as one likes, another one by half a turn.
+        For a round tool, any rotation about its axis is possible; for others, only half a turn.
         """
         turns = TURNS if round_tool else 2
         result: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
@@ -148,7 +148,7 @@ class WaySearch:
         return result
 
     def _by(self, q: Joints, q_before: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
-        """Plan with this arm configuration at the approach."""
+        """Return paths with given joint angles at the start of the approach, or why none exist."""
         here, robot = self.here, self.robot
         off, raised = tip.copy(), tip.copy()
         off[2, 3] += OFF_M
@@ -188,7 +188,7 @@ class WaySearch:
         )
 
     def _straights(self, q: Joints, ends: Mapping[str, Float[np.ndarray, "4 4"]]) -> Lines:
-        """Straight motions of the tip in sequence, ending before the first that is not possible."""
+        """Return consecutive straight motions of the tip, up to the first that is not possible."""
         lines: Lines = {}
         for name, end in ends.items():
             line = straight(self.robot, q, self.here.flange(end), self.obstacles)
@@ -200,7 +200,7 @@ class WaySearch:
     def _why(
         self, q: Joints, lines: Lines, ends: Mapping[str, Float[np.ndarray, "4 4"]]
     ) -> Blocked:
-        """The reason why the next straight path fails: a collision, or the limits of the arm."""
+        """Return why the next straight motion fails: by a collision, or by the arm's limits."""
         name, end = list(ends.items())[len(lines)]
         q = [q, *(line[-1] for line in lines.values())][-1]
         T_base_flange = self.here.flange(end)
@@ -226,9 +226,9 @@ def _slowly(way: Trajectory, least_s: float) -> Trajectory:
 
 
 def _gently(robot: Robot, here: Surroundings, way: Trajectory, load: Load) -> Trajectory:
-    """Return the same way, so slowly that a carried part is accelerated as grips are judged by.
+    """Return the same path, slow enough that the part is not accelerated by over `CARRIED_M_S2`.
 
-    At the tip, and as far below it as the part reaches.
+    The limit applies at the tip and at the lowest point of the part.
     """
     if len(way.q) < 3:
         return way

@@ -1,4 +1,4 @@
-"""Comparison of a pose with the measured depth: pixels that agree and that contradict."""
+"""Comparison of a pose with the measured depth, by pixels that agree or contradict."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ OFF_CENTRE = 0.3  # cost of a part's middle at the box's border, as a share of t
 
 @kernel(nogil=True, error_model="numpy")
 def count(depth, z, inside, tolerance_m):
-    """Return the number of pixels of each kind, and the first and last visible column and row."""
+    """Return the numbers of pixels by kind, and the first and last column and row not hidden."""
     number = np.zeros(KINDS, np.int64)
     h, w = z.shape
     edge = np.array([w, h, -1, -1])
@@ -55,7 +55,7 @@ def count(depth, z, inside, tolerance_m):
 
 @kernel(nogil=True, error_model="numpy")
 def misfits(depth, z, inside, tolerance_m):
-    """Return pixels within an outline that are measured off the part, before or behind."""
+    """Return the number of pixels in an outline that are measured clearly in front of the part."""
     number = 0
     for i in range(z.shape[0]):
         for j in range(z.shape[1]):
@@ -66,10 +66,10 @@ def misfits(depth, z, inside, tolerance_m):
 
 @kernel(nogil=True, error_model="numpy")
 def tight_score(number, misfit):
-    """Return the agreeing share of the pixels in the outline or on the part at its pose.
+    """Return the share of pixels that agree, among those in the outline or on the posed part.
 
-    What is hidden outside the outline and what is unknown within it says nothing; within the
-    outline nothing may lie before the part (`misfit`).
+    Hidden pixels outside the outline and unknown pixels do not count. Within the outline, surfaces
+    in front of the part (`misfit`) contradict the pose.
     """
     against = number[TOUCHING] + number[CONTRADICTED] + misfit
     against += number[MISSED] + number[MISSED_UNKNOWN]
@@ -78,9 +78,9 @@ def tight_score(number, misfit):
 
 @kernel(nogil=True, error_model="numpy")
 def loose_score(number, edge, box, going_on):
-    """Return agreeing minus contradicting pixels, divided by the pixels of the box.
+    """Return the weighted number of agreeing minus contradicting pixels, per pixel of the box.
 
-    A box around a part holds other things too, so what the part does not cover says nothing.
+    A box contains other objects, too, so pixels that the part does not cover do not count.
     """
     wide, high = box[2] - box[0] + 1, box[3] - box[1] + 1
     worth = number[VISIBLE] + OUTSIDE * number[TOUCHING] - number[CONTRADICTED]
@@ -92,7 +92,7 @@ def loose_score(number, edge, box, going_on):
 
 @kernel(nogil=True, error_model="numpy")
 def going_on(depth, z, tolerance_m):
-    """Count pixels just outside the part where the measurement continues the part's surface."""
+    """Return the number of pixels beside the part at which the measured surface continues it."""
     number = 0
     h, w = z.shape
     for i in range(2, h - 2):
@@ -112,7 +112,7 @@ def going_on(depth, z, tolerance_m):
 
 @kernel(nogil=True, error_model="numpy")
 def score(T, part, window, box, tolerance_m, canvas):
-    """Return a pose's score, 0 to 1, with the counts it is from."""
+    """Return a pose's score, which is at most 1, and the pixel counts behind this score."""
     draw(T, part, window, canvas)
     depth, z, inside = canvas.depth, window.z, window.inside
     number, edge = count(depth, z, inside, tolerance_m)

@@ -1,4 +1,4 @@
-"""Final alignment of a pose: surface and outline of the part are fitted to the measured ones."""
+"""Final alignment of a pose, which fits the part's surface and outline to the measurement."""
 
 import math
 
@@ -14,12 +14,12 @@ LINE_STEP_PX = 0.5
 
 @kernel(nogil=True, error_model="numpy")
 def align(T, part, window, gates_m, edge_m, canvas):
-    """Move a pose by Gauss-Newton steps, one for each gate.
+    """Improve a pose in place by Gauss-Newton steps, one for each gate.
 
-    The measured point of a pixel is to lie in the plane of the face that is drawn there; where the
-    drawn outline and the measured one differ along its normal, both are to coincide. A pixel of
-    the outline weighs as much as one of the surface. Source of the outline's part: C. Harris,
-    C. Stennett, "RAPID: a video rate object tracker", 1990.
+    Each pixel's measured point is fitted to the plane of the drawn face, and the measured outline
+    to the drawn outline along its normal. A pixel of the outline has the same weight as a pixel of
+    the surface. Source of the outline's equations: C. Harris, C. Stennett, "RAPID: a video rate
+    object tracker", 1990.
     """
     for gate in gates_m:
         draw(T, part, window, canvas)
@@ -99,7 +99,7 @@ def _on_outline(depth, i, j):
 
 @kernel(nogil=True, error_model="numpy")
 def _outwards(depth, i, j):
-    """Return the outline's outward normal in the picture, from a window of five pixels."""
+    """Return the outline's outward normal in the picture, from a window of 5 x 5 pixels."""
     x, y = 0.0, 0.0
     for di in range(-2, 3):
         for dj in range(-2, 3):
@@ -128,9 +128,9 @@ def _end(depth, i, j, nx, ny):
 
 @kernel(nogil=True, error_model="numpy")
 def _measured_end(window, i, j, nx, ny, zc, edge_m, near):
-    """Return where the measured part ends along that normal, nearest to `near`; NaN if nowhere.
+    """Return the end of the measured part along a normal that is nearest to `near`; NaN if none.
 
-    An edge behind a nearer surface is not an edge of the part.
+    The edge of a nearer surface in front of the part does not count.
     """
     z, inside, tight = window.z, window.inside, window.tight
     best, before = np.nan, -1

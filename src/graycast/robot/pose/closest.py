@@ -1,4 +1,4 @@
-"""The nearest place on a part's surface for any point near it, and ICP by it."""
+"""The nearest surface point for any point near a part, and ICP with these point pairs."""
 
 import math
 from typing import NamedTuple
@@ -16,7 +16,7 @@ DAMPING = 1e-3  # This share of the mean curvature fixes undetermined directions
 
 
 class OrientedPoints(NamedTuple):
-    """Points of a surface with its normals there."""
+    """Points of a surface and the surface normals at these points."""
 
     point: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
@@ -26,10 +26,10 @@ class Closest(NamedTuple):
     """Lookup of the nearest surface point, for each cell of a grid around a part.
 
     Attributes:
-        points: of the surface, in the part's frame.
+        points: points of the surface, in the part's frame.
         low_m: the middle of the first cell.
         cell_m: the width of a cell.
-        nearest: the place in `points` of the one nearest to the cell's middle.
+        nearest: index in `points` of the point nearest to the cell's middle.
     """
 
     points: OrientedPoints
@@ -39,7 +39,7 @@ class Closest(NamedTuple):
 
 
 def closest(points: OrientedPoints, diameter_m: float) -> Closest:
-    """Return the grid of a surface that is given by dense points."""
+    """Return the lookup grid for a surface that is given by dense points."""
     cell_m = diameter_m / CELLS
     low = points.point.min(axis=0) - BEYOND * diameter_m
     size = np.ceil((points.point.max(axis=0) + BEYOND * diameter_m - low) / cell_m).astype(int) + 1
@@ -51,9 +51,9 @@ def closest(points: OrientedPoints, diameter_m: float) -> Closest:
 
 @kernel(nogil=True, error_model="numpy")
 def settle(T, scene, surface, gates_m, rounds):
-    """Return poses moved so that the scene's points lie on the part: ICP, point to plane.
+    """Move poses in place by ICP (point to plane); return the share of matched points of each.
 
-    The gate, beyond which a point is taken for another thing's, narrows from round to round.
+    The gate, which is the largest distance of a matched point, becomes narrower in each round.
     Source: Y. Chen, G. Medioni, "Object modelling by registration of multiple range images", 1992.
     """
     shares = np.zeros(len(T))
@@ -68,7 +68,7 @@ def settle(T, scene, surface, gates_m, rounds):
 
 @kernel(nogil=True, error_model="numpy")
 def _round(T, scene, surface, gate):
-    """Do one step; return the share of the points that have a match on the part within the gate."""
+    """Do one ICP step; return the share of points with a match within the gate, or 0 if too few."""
     point, normal = scene.point, scene.normal
     low, cell, nearest = surface.low_m, surface.cell_m, surface.nearest
     A, b = np.zeros((6, 6)), np.zeros(6)
@@ -107,7 +107,7 @@ def _round(T, scene, surface, gate):
 
 @kernel(nogil=True, error_model="numpy")
 def fill_row(row, p, mx, my, mz):
-    """Fill a row with the derivative of a point's place p along m by turn and shift."""
+    """Fill a row with the derivative, by turn and shift, of a point's coordinate along m."""
     row[0], row[1], row[2] = p[1] * mz - p[2] * my, p[2] * mx - p[0] * mz, p[0] * my - p[1] * mx
     row[3], row[4], row[5] = mx, my, mz
 
@@ -122,7 +122,7 @@ def add_row(A, b, row, off, weight):
 
 @kernel(nogil=True, error_model="numpy")
 def solved(A, b):
-    """The damped step of a system whose lower half is filled; lengths scaled to like size."""
+    """Return the damped solution of a system with a filled lower half; lengths are scaled."""
     scale = np.empty(6)
     turn = (A[0, 0] + A[1, 1] + A[2, 2]) / 3 + 1e-30
     shift = (A[3, 3] + A[4, 4] + A[5, 5]) / 3 + 1e-30
@@ -140,7 +140,7 @@ def solved(A, b):
 
 @kernel(nogil=True, error_model="numpy")
 def turn_by(T, step):
-    """T times the motion of a small turn (step[:3]) and shift (step[3:]) in the part's frame."""
+    """Multiply T in place by a turn (step[:3]) and shift (step[3:]) in the part's frame."""
     x, y, z = step[0], step[1], step[2]
     angle = math.sqrt(x * x + y * y + z * z)
     R = np.eye(3)

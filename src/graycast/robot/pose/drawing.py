@@ -1,4 +1,4 @@
-"""A closed mesh drawn into the window of a picture: depth and face of each pixel, quickly."""
+"""Fast drawing of a closed mesh in a window of a picture: depth and face at each pixel."""
 
 import math
 from typing import NamedTuple
@@ -31,14 +31,14 @@ class Window(NamedTuple):
 
 
 class Canvas(NamedTuple):
-    """Depth and face at each pixel of a window; infinity and -1 where it is empty."""
+    """Depth and face index at each pixel of a window; empty pixels have infinity and -1."""
 
     depth: Float[np.ndarray, "h w"]
     face: Int[np.ndarray, "h w"]
 
 
 def lens(camera: Optics) -> np.ndarray:
-    """Return a camera as numbers for compiled code: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    """Return a camera's numbers for compiled code: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     focal = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]
     return np.array([*focal, *camera.distortion], dtype=np.float64)
 
@@ -52,8 +52,8 @@ def _cross(a, b):
 def draw(T, part, window, canvas):
     """Fill a canvas with the depth and face that each pixel's ray meets.
 
-    Faces turned away are left out: the mesh is closed. A face that reaches behind the lens is too.
-    The same equation as in `graycast.rig.meshdepth`, in one pass.
+    Faces that point away are skipped, because the mesh is closed, and so are faces that reach
+    behind the lens. The equation is that of `graycast.rig.meshdepth`, in one pass.
     """
     lens, ray, vertex, faces = window.lens, window.ray, part.vertex, part.face
     z, face = canvas.depth, canvas.face

@@ -1,4 +1,4 @@
-"""Search of a part's pose from a detection and a depth map."""
+"""Search for a part's pose from a detection and a depth map."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -36,16 +36,16 @@ TRIES = 3  # The other orientations of the best pose are tried at most this many
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseMatch:
-    """A part's pose and its evidence: counts of pixels of the drawn part, except `missed`.
+    """A part's pose and its evidence: numbers of pixels on the drawn part, except `missed`.
 
     Attributes:
-        T_cam_part: None if there was too little depth to look for one.
-        score: 0 to 1.
-        visible: measured on the part.
-        touching: so too, but outside the detection.
-        hidden: something is in front.
-        contradicted: something was measured behind.
-        unknown: nothing was measured.
+        T_cam_part: the pose; None if there was too little depth for a search.
+        score: score of the pose, 0 to 1.
+        visible: pixels that are measured on the part's surface.
+        touching: pixels that are measured on the surface, but outside the detection.
+        hidden: pixels that are measured in front of the part.
+        contradicted: pixels that are measured behind the part.
+        unknown: pixels without a measurement.
         missed: pixels of the detection that the part does not cover.
     """
 
@@ -76,16 +76,16 @@ def find_pose(
 ) -> PoseMatch:
     """Find the pose of a part whose visible outline is known.
 
-    Of the poses that the symmetry of `pose_model` makes alike, the result is the one nearest to
-    `near`, or the standard one without it: `graycast.world.parts.symmetry.nearest_member`.
+    If the symmetry given to `pose_model` makes several poses equivalent, the result is the one
+    nearest to `near`, or the standard one without it (`world.parts.symmetry.nearest_member`).
 
     Args:
-        depth_m: z [m], NaN where the scanner has none.
-        mask: the part's visible pixels, those without depth too.
-        near: a pose, such as that of the previous picture; only its orientation matters.
+        depth_m: z [m], NaN where the scanner measured nothing.
+        mask: the part's visible pixels, including those without depth.
+        near: a pose, such as the one in the previous picture; only its orientation matters.
 
     Raises:
-        ValueError: depth, camera and mask are not of one size.
+        ValueError: depth, camera and mask have different sizes.
     """
     return _match(model, depth_m, camera, mask, tight=True, near=near)
 
@@ -96,7 +96,7 @@ def find_pose_in_box(
     camera: Optics,
     box_px: Float[np.ndarray, "4"],
 ) -> PoseMatch:
-    """The pose of the part that a box is around: [x, y, columns, rows] as in `Detections`."""
+    """Find the pose of the part in a box, which is [x, y, columns, rows] as in `Detections`."""
     inside = np.zeros(depth_m.shape, dtype=bool)
     left, top = np.maximum(np.rint(box_px[:2]).astype(int), 0)
     right, bottom = np.maximum(np.rint(box_px[:2] + box_px[2:]).astype(int), 0)
@@ -112,7 +112,7 @@ def find_poses(
     *,
     threads: int = 1,
 ) -> list[PoseMatch]:
-    """Return the poses of several instances of a part in one picture, each found by itself.
+    """Find the poses of several instances of a part in one picture independently of each other.
 
     The slow steps are compiled and run in parallel threads; the result does not depend on their
     number.
@@ -156,7 +156,7 @@ def _match(
 
 
 def _scene_points(patch: Crop) -> OrientedPoints:
-    """Return places of the detection with normals, spread evenly over its pixels."""
+    """Return measured points and normals of the detection, spread evenly over its pixels."""
     usable = patch.inside & np.isfinite(patch.smooth)
     i, j = np.nonzero(usable)
     index = np.linspace(0, len(i) - 1, min(SCENE_POINTS, len(i))).astype(int)
@@ -170,7 +170,7 @@ def _scene_points(patch: Crop) -> OrientedPoints:
 
 
 def _guesses(model: PoseModel, patch: Crop, scene: OrientedPoints) -> np.ndarray:
-    """Return poses by votes, the best of each bundle of like ones, best bundle first."""
+    """Return poses by votes: the best one of each group of similar poses, best group first."""
     point, references = scene.point, np.arange(len(scene.point))
     if not patch.tight:
         i, j = np.nonzero(patch.inside)
@@ -207,7 +207,7 @@ def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> PoseTrial:
-    """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
+    """Return the best pose: score and align the guesses, then try turns of the best one."""
     trials = Trials(model, patch)
     first = np.array([trials.judge(T).worth for T in guesses])
     both = (

@@ -1,4 +1,4 @@
-"""The model of a part for the search, which is prepared once."""
+"""The model of a part, which is prepared once for all pose searches."""
 
 from dataclasses import dataclass
 
@@ -23,16 +23,16 @@ MOST_DENSE = 40_000
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseModel:
-    """The data of a part for the search, in the part's frame.
+    """The data of a part for the pose search, in the part's frame.
 
     Attributes:
-        diameter_m: the largest distance between two of its vertices, but for a little.
-        points: for pairs, far apart.
-        pairs: the table of their features.
-        surface: the nearest place for any point near.
-        key_m: points that a motion moves unless it leaves the part as it is.
-        alike: the discrete motions that leave it, the identity first.
-        symmetry: all motions that leave it.
+        diameter_m: diameter of the ball around the box's middle that holds the vertices.
+        points: sparse points, which form the pairs.
+        pairs: table of the features of all pairs of `points`.
+        surface: lookup of the nearest surface point for any point near the part.
+        key_m: points that each motion moves, except a motion of the symmetry.
+        alike: the discrete motions that leave the part unchanged, the identity first.
+        symmetry: all motions that leave the part unchanged.
     """
 
     facets: Facets
@@ -54,7 +54,7 @@ class PoseModel:
 
 
 def pose_model(mesh: Mesh, symmetry: Symmetry) -> PoseModel:
-    """Prepare a closed mesh; about a second."""
+    """Return the model of a closed mesh; this takes about a second."""
     corners = mesh.bounds_m
     used = mesh.vertices_m[np.unique(mesh.faces)].astype(np.float64)
     middle = corners.mean(axis=0)
@@ -81,7 +81,7 @@ def pose_model(mesh: Mesh, symmetry: Symmetry) -> PoseModel:
 def _keys(
     symmetry: Symmetry, middle: Float[np.ndarray, "3"], diameter_m: float
 ) -> Float[np.ndarray, "k 3"]:
-    """Two points on the axis of a turned part; else the ends of a cross and its middle."""
+    """Return two points on the axis of a turned part, else the middle and a point on each axis."""
     if symmetry.continuous:
         axis, offset = (np.array(one, dtype=np.float64) for one in symmetry.continuous[0])
         axis = axis / np.linalg.norm(axis)

@@ -1,12 +1,12 @@
-"""Point-pair features: a table of a part's pairs of points, and voting by a scene's.
+"""Point-pair features: a table of a part's pairs of points, and votes by pairs in the scene.
 
-Two points with normals have a feature: their distance and three angles, which no motion changes.
-A reference point of the scene votes with each of its pairs for every model pair of the same
-feature: for the model point that it may be, and for the turn about its normal.
+The feature of two points with normals is their distance and three angles, which no motion changes.
+With each of its pairs, a reference point of the scene votes for all model pairs of equal feature:
+for the corresponding model point, and for the rotation about its normal.
 
 Source: B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match locally: efficient and
-robust 3D object recognition", CVPR 2010. Votes weigh less the more model pairs share a feature, so
-that the many like pairs of a plane do not drown the few that tell.
+robust 3D object recognition", CVPR 2010. The more model pairs have a feature, the less each vote
+weighs, so that the many equal pairs on a plane do not outweigh the few distinctive pairs.
 """
 
 import math
@@ -23,13 +23,13 @@ TURNS = 30  # The turn about the normal has bins of 12 degrees.
 
 
 class PairTable(NamedTuple):
-    """The pairs of a model's points by feature, in rows one after another.
+    """The pairs of a model's points, sorted by feature.
 
     Attributes:
         step_m: the width of a bin of distance.
-        distances: how many bins of distance there are.
-        start: where each feature's row starts, and where the last one ends.
-        first: the model's reference point of each pair.
+        distances: number of bins of distance.
+        start: index of each feature's first pair, and at the end the number of all pairs.
+        first: index of each pair's reference point.
         turn_rad: the other point's angle about the reference point's normal.
     """
 
@@ -41,7 +41,7 @@ class PairTable(NamedTuple):
 
 
 def pair_table(points: OrientedPoints, step_m: float) -> PairTable:
-    """Return all ordered pairs of a model's points."""
+    """Return a table of all ordered pairs of a model's points."""
     longest = float(np.linalg.norm(np.ptp(points.point, axis=0)))
     distances = int(longest / step_m) + 1
     start, first, turn = _filled(*points, step_m, distances)
@@ -50,7 +50,7 @@ def pair_table(points: OrientedPoints, step_m: float) -> PairTable:
 
 @kernel(nogil=True, error_model="numpy")
 def feature_of(p, n, q, m, step_m, distances):
-    """The feature's number of two points with normals; -1 if they coincide or are too far."""
+    """Return the number of the feature of two points; -1 if they coincide or are too far apart."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     d = int(length / step_m)
@@ -68,7 +68,7 @@ def feature_of(p, n, q, m, step_m, distances):
 
 @kernel(nogil=True, error_model="numpy")
 def frame_of(n):
-    """Return the rotation that turns a normal onto the x axis, by the shortest way."""
+    """Return the smallest rotation that turns a normal onto the x axis."""
     R = np.empty((3, 3))
     x, y, z = n[0], n[1], n[2]
     if x < -0.999999:
@@ -84,7 +84,7 @@ def frame_of(n):
 
 @kernel(nogil=True, error_model="numpy")
 def turn_of(R, p, q):
-    """Return the angle of q about the x axis once the point p with its normal is on that axis."""
+    """Return the angle of q about the x axis after R has turned p's normal onto this axis."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     y = R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz
     z = R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz
@@ -117,11 +117,11 @@ def _filled(point, normal, step_m, distances):
 
 @kernel(nogil=True, error_model="numpy")
 def votes(scene, references, model, pairs, peaks):
-    """Return the best poses of each reference point, and how many votes each has.
+    """Return the best poses by each reference point, and their numbers of votes.
 
     Args:
-        references: places of the reference points among the scene's.
-        peaks: how many poses are taken from each.
+        references: indices of the reference points in the scene.
+        peaks: number of poses for each reference point.
     """
     point, normal, start = scene.point, scene.normal, pairs.start
     n = len(model.point)
@@ -156,7 +156,7 @@ def votes(scene, references, model, pairs, peaks):
 
 @kernel(nogil=True, error_model="numpy")
 def _pose(T, R_scene, p_scene, R_model, p_model, angle):
-    """Scene point and normal over the model's, the model turned by the angle about them."""
+    """Fill T with the pose that maps a model's point and normal to a scene's, with a given turn."""
     c, s = math.cos(angle), math.sin(angle)
     turned = np.empty((3, 3))
     for j in range(3):

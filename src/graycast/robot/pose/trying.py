@@ -24,7 +24,7 @@ LEAST_PIXELS = 30  # Another orientation of a part needs at least this many pixe
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseTrial:
-    """A pose, its score (at most 1), and its pixels by kind (`agreement`)."""
+    """A pose, its score (at most 1), and its numbers of pixels by kind (see `agreement`)."""
 
     T: Float[np.ndarray, "4 4"]
     worth: float
@@ -33,7 +33,7 @@ class PoseTrial:
 
 @final
 class Trials:
-    """Poses of a part tried in one detection's window."""
+    """Trials of poses of a part in the window of one detection."""
 
     def __init__(self, model: PoseModel, crop: Crop) -> None:
         noise_m = crop.noise_m if np.isfinite(crop.noise_m) else 0.0
@@ -60,7 +60,7 @@ class Trials:
         return PoseTrial(T=T, worth=float(worth), number=number)
 
     def align(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """Return the pose moved so that surface and outline agree with the measurement."""
+        """Return the pose moved so that surface and outline fit the measurement."""
         moved, gates_m = T.copy(), np.array(GATES) * self.tolerance_m
         align(moved, self._part, self._window, gates_m, EDGE * self.tolerance_m, self._canvas)
         return moved

@@ -1,11 +1,11 @@
-"""The command `graycast`: files in, files out.
+"""The command `graycast`, which reads and writes files.
 
-Each imports only from those above it:
+Each module imports only from the modules above it:
 
-    bars               progress and the time that is left
-    doctor             what this machine has
+    bars               progress bars with the remaining time
+    doctor             the libraries and devices of this machine
     readers            readers of numbers, sizes and lengths that refuse any other text
-    arguments          the table of the flags that several commands share
+    arguments          the table of shared flags, and functions for arguments
     dataset_commands   the group dataset
     detector_commands  the group detector
     material_command   real material

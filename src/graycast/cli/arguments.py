@@ -1,4 +1,4 @@
-"""Arguments of commands: the table of the flags that several commands share."""
+"""Arguments of commands, with a table of the flags that several commands share."""
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping
@@ -34,7 +34,7 @@ NOTHING = "nothing was written"
 
 
 def add_group(commands, name: str, help: str):
-    """Add a group and return its parsers of commands. The group alone prints its help."""
+    """Add a group of commands and return its subparsers. Without a command, it prints its help."""
     group = commands.add_parser(name, help=help, description=help)
     group.set_defaults(run=lambda _: group.print_help())
     group._positionals.title = "commands"
@@ -54,10 +54,10 @@ def add_command(
     """Add a command and return its parser.
 
     Args:
-        help: its text in the list of commands.
-        example: frequent arguments, with which its own help begins.
-        more: sentences that its own help adds.
-        when_stopped: what remains after Ctrl-C.
+        help: the command's text in the list of commands.
+        example: frequent arguments, which the command's own help shows first.
+        more: further sentences for the command's own help.
+        when_stopped: text about the remaining files after Ctrl-C.
     """
     command = into.add_parser(name, help=help)
     words = " ".join(f"{help} {more}".split())
@@ -157,9 +157,9 @@ def add_option(
     """Add an option, or an argument without dashes.
 
     Args:
-        kind: a function that reads the text, a tuple of choices, or None for a switch.
-        usual: a text for the default, if its value would explain nothing.
-        more: as in `add_argument`.
+        kind: a function that converts the text, a tuple of choices, or None for a switch.
+        usual: a text that describes the default, if the value itself would not.
+        more: further arguments of `add_argument`.
     """
     usual = str(default) if usual is None and default is not None else usual
     if usual is not None:
@@ -181,19 +181,19 @@ def add_shared(
     usual: str | None = None,
     **more: Any,
 ) -> None:
-    """Add options of the table of shared flags."""
+    """Add options from the table of shared flags."""
     for name in names:
         kind, help = SHARED[name]
         add_option(parser, name, kind, help, default, usual=usual, **more)
 
 
 def add_out(parser: argparse.ArgumentParser, help: str, *, required: bool = True) -> None:
-    """Add `--out`, the folder or the file that a command writes."""
+    """Add the option `--out`, the folder or the file that a command writes."""
     add_option(parser, "--out", Path, help, required=required)
 
 
 def add_png(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
-    """Add `--out`, the picture that a command writes."""
+    """Add the option `--out`, the PNG picture that a command writes."""
     add_option(
         parser, "--out", png_path, "The PNG file to write.", required=required, metavar="PATH"
     )
@@ -209,7 +209,7 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 
 
 def add_rig(parser: argparse.ArgumentParser, *, flag: bool = False) -> None:
-    """Add the argument `rig`, or the option `--rig` as a `flag`, and `--resolution`."""
+    """Add the argument `rig`, or with `flag` the option `--rig`, and add `--resolution`."""
     if flag:
         add_shared(parser, "--rig", required=True)
     else:
@@ -218,13 +218,13 @@ def add_rig(parser: argparse.ArgumentParser, *, flag: bool = False) -> None:
 
 
 def add_division(parser: argparse.ArgumentParser, *, shares: str | None, usual: str = "") -> None:
-    """Add the options that divide a dataset; `usual` describes the default in the help."""
+    """Add the options that divide a dataset into sets; `usual` describes the default division."""
     add_shared(parser, "--shares", default=shares, usual=usual or None)
     add_shared(parser, "--split-seed", default=0)
 
 
 def add_scoring(parser: argparse.ArgumentParser, *, split: str) -> None:
-    """Add the options of scores against a dataset; `split` is the text for the default set."""
+    """Add the options for scores against a dataset; `split` describes the default set."""
     add_shared(parser, "--on", required=True)
     add_out(parser, "The folder to write.")
     add_shared(parser, "--split", usual=split)
@@ -235,7 +235,7 @@ def add_scoring(parser: argparse.ArgumentParser, *, split: str) -> None:
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
-    """Add the options for workers of scenes, which `workers_of` reads."""
+    """Add the options for worker processes, which `workers_of` reads."""
     many = "1; with --engine ray, as many as the cluster has room for"
     add_shared(parser, "--workers", usual=many)
     threads = "those of this machine, divided equally; with --engine ray, 1"
@@ -248,7 +248,7 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
 
 
 def workers_of(options: argparse.Namespace) -> "Workers":
-    """Read the options that `add_workers` added.
+    """Return the workers that the options of `add_workers` describe.
 
     Raises:
         GraycastError: `--address` is given without `--engine ray`.
@@ -268,7 +268,7 @@ def workers_of(options: argparse.Namespace) -> "Workers":
 
 
 def division_of(options: argparse.Namespace):
-    """Return the division of the dataset by `--shares`; None without that option."""
+    """Return the division of the dataset by `--shares`; None if this option is not given."""
     from ..dataset.export import Split, parse_shares
 
     if options.shares is None and options.split_seed:
@@ -281,7 +281,7 @@ def division_of(options: argparse.Namespace):
 
 
 def resolve_rig_option(options: argparse.Namespace):
-    """Return the scanner that the arguments `rig` and `--resolution` name."""
+    """Return the scanner for the arguments `rig` and `--resolution`."""
     from ..camera.rig_file import named_scanner
 
     own_file = options.rig not in PRESETS and Path(options.rig).is_file()
@@ -294,7 +294,7 @@ def resolve_rig_option(options: argparse.Namespace):
 
 
 def cell_of(options: argparse.Namespace):
-    """Load the cell of `config` with the renderer of `--backend`; print its notes."""
+    """Return the cell for `config` and `--backend`, and print the cell's notes."""
     from ..cell.config import load_config
 
     if not options.config.exists():
@@ -310,7 +310,7 @@ def cell_of(options: argparse.Namespace):
 
 
 def resolve_config(config, name: Path, folder: Path):
-    """Build a cell whose relative paths start in `folder`; errors begin with `name`."""
+    """Return a cell whose relative paths start in `folder`; errors begin with `name`."""
     from ..cell.resolve import resolve_cell
 
     try:
@@ -324,7 +324,7 @@ def resolve_config(config, name: Path, folder: Path):
 
 
 def file_options(options: argparse.Namespace) -> "FileOptions":
-    """Return the values of the options of depth files, from `--intrinsics` to `--max-depth`."""
+    """Return the values of the options for depth files, from `--intrinsics` to `--max-depth`."""
     from ..real.depth_file import FileOptions, read_intrinsics
 
     return FileOptions(
@@ -338,19 +338,19 @@ def file_options(options: argparse.Namespace) -> "FileOptions":
 
 
 def failed_line(name: str, failed: "Failed", *, if_final: str = "given up") -> str:
-    """Return why a try failed, and whether another one follows in the same run."""
+    """Return a line with the reason of a failure, and whether the same run tries again."""
     then = if_final if failed.final else "will be made again"
     return f"{name}  {then}: {one_line(failed.error)}"
 
 
 def print_missing(names: Iterable[str]) -> None:
-    """Print a line for each scene or bin that a run has given up."""
+    """Print a line for each scene or bin that a run could not make."""
     for name in names:
         print(f"  {name} is missing; run the same command again to retry it")
 
 
 def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:
-    """Print a line for each reason, with the share among the parts' pixels first."""
+    """Print the share of pixels for each reason: first among the parts' pixels, then among all."""
     for name, part_of_all in of_all.items():
         first = f"{of_parts[name]:7.2%} of the parts' pixels, " if of_parts else ""
         print(f"  {name:18} {first}{part_of_all:7.2%} of all pixels")

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 @final
 class Bars:
-    """A `ProgressMeter` that draws a bar for each counted kind, and the present stage.
+    """A `ProgressMeter` that shows a bar for each counted kind, and the current stage.
 
-    Callers print with `line`, so that text and bars do not overwrite each other.
+    Use `line` to print text, so that text and bars do not overwrite each other.
     """
 
     def __init__(self, progress: "Progress") -> None:
@@ -63,7 +63,7 @@ class Bars:
 
 
 def open_bars() -> Bars:
-    """Open bars that stay visible when the task is done."""
+    """Return progress bars that stay visible after the end."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -77,7 +77,7 @@ def open_bars() -> Bars:
     from rich.text import Text
 
     class OfCounted(ProgressColumn):
-        """A column that is empty for a stage, which has neither a number nor an end."""
+        """A column that is empty for a stage, because a stage has no count and no known end."""
 
         def __init__(self, column: ProgressColumn) -> None:
             super().__init__()
@@ -99,7 +99,7 @@ def open_bars() -> Bars:
 
 
 def open_stages() -> Bars:
-    """Show one line with the present stage and its duration, which disappears at the end."""
+    """Return a line with the current stage and its duration, which disappears at the end."""
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()

@@ -1,4 +1,4 @@
-"""The command line: the groups of commands, and how their errors are reported."""
+"""The command line: the groups of commands, their help, and reports of their errors."""
 
 import argparse
 import os
@@ -50,7 +50,7 @@ examples:
 
 
 class Help(argparse.HelpFormatter):
-    """Help whose usage line has only required arguments, and which keeps indented lines."""
+    """A help formatter that shows only required arguments in the usage line and keeps indents."""
 
     def _format_usage(
         self,
@@ -79,7 +79,7 @@ class Help(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose error names the word that was probably meant instead of all thirty."""
+    """A parser whose error for an unknown word suggests similar words instead of listing all."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**({"formatter_class": Help} | settings))
@@ -104,7 +104,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _in_groups(commands: argparse._SubParsersAction) -> dict[str, str]:
-    """Map the name of each command in a group to its full name: `export` to `dataset export`."""
+    """Return the full name of each command in a group, such as `dataset export` for `export`."""
     return {
         name: f"{group} {name}"
         for group, parser in commands.choices.items()
@@ -115,7 +115,7 @@ def _in_groups(commands: argparse._SubParsersAction) -> dict[str, str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return 0 for success, 1 for failure, 2 for wrong arguments."""
+    """Run a command; return 0 (success), 1 (failure) or 130 (Ctrl-C); exit with 2 if misused."""
     options = _parser().parse_args(arguments)
     if arguments is None:  # in its own process
         signal.signal(signal.SIGTERM, _stop)  # sent by batch systems in place of Ctrl-C
@@ -139,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _note_lack_of_cache() -> None:
-    """Warn that the next command will have to compile again what this command compiled."""
+    """Print a note if compiled code cannot be kept for the next command."""
     kernels = sys.modules.get("graycast.base.kernels")  # loading it takes a while
     problem = None if kernels is None else kernels.uncached_note()
     if problem is not None:
@@ -152,7 +152,7 @@ def _note_lack_of_cache() -> None:
 
 
 def _nobody_reads() -> bool:
-    """Whether the reader of the output has ended, as `head` does; that is no error."""
+    """Return whether the reader of the output, such as `head`, has ended, which is no error."""
     output = select.poll()
     output.register(sys.stdout.fileno(), 0)
     if not any(event & select.POLLERR for _, event in output.poll(0)):
@@ -190,7 +190,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _documentation() -> str:
-    """Return the folder of the documentation in the clone that this program comes from, if any."""
+    """Return the place of the documentation: in the clone of this program, or its repository."""
     pages = Path(__file__).parents[3] / "docs" / "index.md"
     if pages.is_file():
         return f"documentation:\n  {pages}; `make docs` makes a site of it"
@@ -198,7 +198,7 @@ def _documentation() -> str:
 
 
 def _alone(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Run the program without a command: print its help, or the script of `--print-completion`."""
+    """Print the help, or the script for `--print-completion`, if no command is given."""
     if options.print_completion is None:
         parser.print_help()
         return
@@ -209,7 +209,7 @@ def _alone(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
 
 
 def _complete_files(parser: argparse.ArgumentParser) -> None:
-    """Mark for shtab the arguments that are files."""
+    """Mark the arguments that are files, so that shtab completes file names."""
     import shtab
 
     for action in parser._actions:

@@ -1,4 +1,4 @@
-"""Commands of datasets: dataset stats, export, merge, import, rerender, grasps, score-depth."""
+"""Commands for datasets: dataset stats, export, merge, import, rerender, grasps, score-depth."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Commands of detectors: detector train, find, onnx, score, study."""
+"""Commands for detectors: detector train, find, onnx, score, study."""
 
 import argparse
 from pathlib import Path
@@ -137,7 +137,7 @@ def _add_train(group) -> None:
 
 
 def _add_training(train: argparse.ArgumentParser) -> None:
-    """Add options of how the network learns, from which scenes, and how it sees them."""
+    """Add the options for the training: schedule, division of scenes, and encoding of depth."""
     epochs = "The number of epochs, which are passes over all pictures of the train set."
     add_option(train, "--epochs", positive, epochs, 40)
     add_option(
@@ -210,7 +210,7 @@ _range = reader(
 
 
 def _torch(options: argparse.Namespace) -> None:
-    """Check that torch is installed and has the device, and set its number of threads."""
+    """Check that torch is installed and `--device` suits it; set torch's number of threads."""
     try:
         import torch
     except ImportError as error:

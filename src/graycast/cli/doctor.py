@@ -1,4 +1,4 @@
-"""The installed libraries and devices of this machine, and the use of each missing one."""
+"""The libraries and devices of this machine, with the use of each missing one."""
 
 import os
 import platform
@@ -42,7 +42,7 @@ _OPTIONAL = {  # each distribution, the command that installs it, and what it ad
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """Result of the search for one library or device; `gives` is its use."""
+    """The result of the search for one library or device; `gives` describes its use."""
 
     name: str
     text: str
@@ -52,12 +52,12 @@ class Finding:
 
 
 def examine() -> tuple[Finding, ...]:
-    """Look for everything that Graycast can use; checks that may end a process run in a child."""
+    """Return findings for all libraries and devices; risky checks run in a child process."""
     return (*_software(), *_machine(), *_devices())
 
 
 def describe(findings: Sequence[Finding]) -> str:
-    """Return a line for each finding, the use of each missing one, and the verdict."""
+    """Return a line for each finding, with the use of each missing one, and the verdict."""
     width = max(len(finding.name) for finding in findings)
     lines = []
     for finding in findings:
@@ -103,7 +103,7 @@ def _machine() -> Iterator[Finding]:
 
 
 def _cache() -> Finding:
-    """Describe the folders in which results are kept between commands."""
+    """Return a finding about the folders in which results are kept between commands."""
     stated, usual = os.environ.get("NUMBA_CACHE_DIR"), cache_folder("")
     problems = ["this user has no home: set XDG_CACHE_HOME to a folder"] if usual is None else []
     folders = [] if usual is None else [usual]
@@ -169,7 +169,7 @@ def _devices() -> Iterator[Finding]:
 
 
 def _trial(device: str) -> Finding:
-    """Render and denoise a small picture in its own process, and return the result."""
+    """Return the result of rendering and denoising a small picture in its own process."""
     trial = try_device(device)
     where = {"cpu": "the processor", "cuda": "the GPU", None: ""}[trial.denoiser]
     return Finding(
@@ -181,7 +181,7 @@ def _trial(device: str) -> Finding:
 
 
 def _field(path: Path, key: str) -> str | None:
-    """Return the value of the first `key : value` line; None if the system has no such file."""
+    """Return the value of a key in `key : value` lines; None if file or key does not exist."""
     try:
         lines = path.read_text().splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""The command real material: the surface of parts from one scan."""
+"""The command real material, which fits the material of parts to one scan."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The command parts: the built-in parts, or those of a configuration."""
+"""The command parts, which lists the built-in parts or those of a configuration."""
 
 import argparse
 from pathlib import Path
@@ -10,7 +10,7 @@ from .bars import open_stages
 
 
 def add_parts(commands) -> None:
-    """Add the command to the commands of scenes."""
+    """Add the command `parts`."""
     parts = add_command(
         commands, "parts", _parts, "List the built-in parts or the parts of a configuration.",
         example="--out parts.png", more="With --out, the command also draws them.",
@@ -45,7 +45,7 @@ def _parts(options: argparse.Namespace) -> int:
 
 
 def _describe_hulls(parts) -> None:
-    """Describe the collision hulls of the parts; those not in the cache are computed now."""
+    """Print facts about the parts' collision hulls; hulls that are not cached are computed now."""
     from ..world.drop import hull_notes, prepare
     from ..world.parts import Symmetry
     from ..world.parts.symmetry import shape_symmetry

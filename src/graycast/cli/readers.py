@@ -1,4 +1,4 @@
-"""Readers of the values of arguments: numbers, sizes and lengths; each refuses any other text."""
+"""Readers for argument values (numbers, sizes and lengths), which refuse any other text."""
 
 import argparse
 import math
@@ -12,7 +12,7 @@ Value = TypeVar("Value")
 def reader(
     read: Callable[[str], Value], allowed: Callable[[Value], bool], what: str
 ) -> Callable[[str], Value]:
-    """Return a function that reads a text and refuses one that is not a `what`."""
+    """Return a function that converts a text and refuses it if it is not `what`."""
 
     def checked(text: str) -> Value:
         try:
@@ -55,11 +55,11 @@ size = reader(
 def metres(
     read: Callable[[str], Any], most_m: float, *, separator: str = ","
 ) -> Callable[[str], Any]:
-    """Return a reader of lengths that refuses a length that must have been meant in millimetres.
+    """Return a reader for lengths that refuses a length that was probably given in millimetres.
 
     Args:
-        read: the reader of one length, or of several with the separator between them.
-        most_m: the greatest plausible length.
+        read: reader for one length, or for several lengths with the separator between them.
+        most_m: largest plausible length.
     """
 
     def checked(text: str) -> Any:
@@ -95,7 +95,7 @@ distortion = reader(
 
 
 def export_format(name: str) -> str:
-    """Return the name of a format of exports; refuse any other, and name the one to take."""
+    """Return the name of an export format; refuse another name and suggest a valid one."""
     from ..dataset.export.options import FORMATS, no_format
 
     if name not in FORMATS:

@@ -1,4 +1,4 @@
-"""Commands of real scans: real measure, compare, twin, fit-bin; material_command has material."""
+"""Commands for real scans: real measure, compare, twin, fit-bin; material is in its own module."""
 
 import argparse
 import math
@@ -192,7 +192,7 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def _noted(scans, notes: list[str]):
-    """Return the scans, and add notes about their depth to the list."""
+    """Yield the scans, and add notes about their depth to the list."""
     from ..real.depth_sense import filled_holes
 
     for scan in scans:
@@ -202,7 +202,7 @@ def _noted(scans, notes: list[str]):
 
 
 def _compare(options: argparse.Namespace) -> int:
-    """Print two sets side by side and, with `--classifier`, the classifier's result."""
+    """Print the statistics of two sets and, with `--classifier`, the classifier's result."""
     from ..real.realism import RECORD_FILE, table, two_sample_table, write_two_sample
 
     if options.out is not None:
@@ -227,7 +227,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _two_sample(options: argparse.Namespace) -> tuple:
-    """Run the classifier test; return its result and both sets of maps."""
+    """Return the result of the classifier test, and the maps of both sets."""
     from ..real.realism import two_sample_test
 
     a, b, most = options.first, options.second, options.max_maps
@@ -252,7 +252,7 @@ def _write_table(records: list, folder: Path) -> None:
 
 
 def _record(path: Path, options: argparse.Namespace):
-    """Read a measured set, or measure a dataset or a folder of depth maps."""
+    """Return the record of a measured set, or measure a dataset or a folder of depth maps."""
     from ..real.realism import RECORD_FILE, measure_all, pool, read_record
 
     if path.is_file() or (path / RECORD_FILE).is_file():
@@ -261,7 +261,7 @@ def _record(path: Path, options: argparse.Namespace):
 
 
 def _scans(path: Path, options: argparse.Namespace) -> Iterator:
-    """Return the depth maps of one of two sets."""
+    """Return the depth maps in a path."""
     from ..real.realism import read_scans
 
     return read_scans([path], options=file_options(options))

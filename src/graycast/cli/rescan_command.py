@@ -1,4 +1,4 @@
-"""The command rescan: scanner depth for a dataset that others made."""
+"""The command rescan, which adds scanner depth to a dataset that others made."""
 
 import argparse
 from datetime import timedelta

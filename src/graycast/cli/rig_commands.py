@@ -1,4 +1,4 @@
-"""Commands of rigs: rig list, show, write, import, calibrate, patterns, decode, certify, design."""
+"""Commands for rigs: list, show, write, import, calibrate, patterns, decode, certify, design."""
 
 import argparse
 import sys
@@ -96,7 +96,7 @@ def _add_list(group) -> None:
 
 
 def _add_files(group) -> None:
-    """Add the commands that make a rig file from the data of a real scanner."""
+    """Add the commands that make a rig file for a real scanner: import and calibrate."""
     load = add_command(
         group, "import", _import, "Make a rig file from a stereo calibration of OpenCV.",
         example="stereo.yml --out rig.yaml",
@@ -149,7 +149,7 @@ def _add_files(group) -> None:
 
 
 def _add_pictures(group) -> None:
-    """Add the commands of a projector's patterns and of a camera's pictures of them."""
+    """Add the commands for patterns and for pictures of them: patterns and decode."""
     patterns = add_command(
         group, "patterns", _patterns, "Write the patterns of a rig for a projector.",
         example="rig.yaml --out out/patterns",

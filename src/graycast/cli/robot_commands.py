@@ -1,4 +1,4 @@
-"""Commands of robots: robot pick, summary, report, score-poses."""
+"""Commands for robots: robot pick, summary, report, score-poses."""
 
 import argparse
 from pathlib import Path
@@ -153,7 +153,7 @@ def _pick(options: argparse.Namespace) -> int:
 
 
 def _with_options(config, options: argparse.Namespace):
-    """Return the configuration with the options of the command line, checked like a file."""
+    """Return the configuration, changed by the options of the command line and checked again."""
     from ..base.settings import check_settings
     from ..robot.pick.pick_sections import PickConfig
 

@@ -1,4 +1,4 @@
-"""Commands of scenes and datasets: preview, generate, live, validate, report."""
+"""Commands for scenes and datasets: preview, generate, live, validate, report."""
 
 import argparse
 import shutil
@@ -165,7 +165,7 @@ def _preview(options: argparse.Namespace) -> int:
 
 
 def _which(cell, number: int) -> str:
-    """Return which image of a scene is shown, if there are several."""
+    """Return a text with the image's number and scanner, or "" if a scene has only one image."""
     if len(cell.images) == 1:
         return ""
     sensor, image = cell.images[number]
@@ -174,7 +174,7 @@ def _which(cell, number: int) -> str:
 
 
 def _tell_coarse(shot) -> None:
-    """Print the names of the dropped parts that have coarse collision hulls."""
+    """Print a note for each dropped part that has coarse collision hulls."""
     from ..world.drop import hull_notes, prepare
 
     sample = shot.sample
@@ -241,9 +241,9 @@ def _generate(options: argparse.Namespace) -> int:
 
 
 def _ahead(scene, left: int, workers: int, out: Path) -> str:
-    """Return the time and space that the other scenes take if they are like this one.
+    """Return a text about the time and disk space for the other scenes, estimated from this one.
 
-    The time is included if the number of workers is not 0.
+    The time is left out if the number of workers is 0.
     """
     size_gb = 1e-9 * left * sum(len(data) for _, data in scene.files)
     free_gb = 1e-9 * shutil.disk_usage(out).free

@@ -109,10 +109,10 @@ def _write_cell(
     surface: str | None = None,
     scenes: int = 10,
 ) -> "Part":
-    """Write the folder of a cell, whole or not at all, and return its part.
+    """Write the folder of a cell completely or not at all, and return its part.
 
     Raises:
-        GraycastError: the folder is in use, or the part cannot be read.
+        GraycastError: the folder is not empty or cannot be written, or the part cannot be read.
     """
     from ..base.folder import new_folder
     from ..cell.new_cell import new_cell

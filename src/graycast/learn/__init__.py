@@ -1,8 +1,8 @@
-"""Detectors, and studies of what they learn from.
+"""Detectors, and studies that compare detectors and their training sets.
 
-Each imports only from those above it:
+Each module imports only from the modules above it:
 
     detect           detectors: training and inference
     study_file       the YAML file of a study
-    study            models x inputs x training sets x worlds x seeds, in one table
+    study            runs over models x inputs x training sets x test sets x seeds, and one table
 """

@@ -11,7 +11,7 @@ from ..dataset.export.split import Split
 
 
 class TestSection(Settings):
-    """The scenes on which detectors are scored: one dataset for each part, or one for all parts."""
+    """A test set: one dataset with all parts, or one dataset for each part."""
 
     datasets: tuple[Path, ...] = Field(
         min_length=1, description="Folders of datasets, relative to the study's file."
@@ -50,7 +50,7 @@ class ModelSection(Settings):
 
 
 class EncodingSection(Settings):
-    """Encoding of depth for a network. Several encodings make an ablation study."""
+    """An encoding of depth for a network. Several encodings make an ablation study."""
 
     name: str = Field(description="The name of the encoding in the table.")
     holes: Literal["channel", "zero", "far"] = Field(
@@ -65,7 +65,7 @@ class EncodingSection(Settings):
 
 
 class StudySpec(Settings):
-    """Detectors to train and test sets to score them on; each combination is one run.
+    """The detectors of a study and their test sets; each combination is one run.
 
     Relative paths start in the folder of the study's file.
     """
@@ -133,7 +133,7 @@ class StudySpec(Settings):
 
 
 def read_study(path: Path) -> StudySpec:
-    """Read and check a study; its paths become absolute, and one folder has one spelling.
+    """Read and check a study; make its paths absolute and normalized.
 
     Raises:
         ConfigError: the file is missing, or has an unknown, missing or wrong key.

@@ -1,10 +1,10 @@
-"""From a detection with depth to a picked part.
+"""Robots: grips on parts, poses of parts, and picks from a bin.
 
-Each imports only from those above it:
+Each package imports only from the packages above it:
 
-    grasp            where a part can be gripped by suction cups or jaws
-    pose             the pose of a part from a detection and the scanner's depth, and how well the
-                     two agree (`agreement`)
-    pick             a robot that empties the bin
-    grasp_labels     grasp labels of the parts of a dataset, simulated in physics
+    grasp            places at which suction cups or jaws can grip a part
+    pose             the pose of a part from a detection and the scanner's depth, and a comparison
+                     of pose and depth (`agreement`)
+    pick             a simulated robot that empties a bin
+    grasp_labels     grasp labels for the parts in a dataset, with simulated physics
 """

@@ -1,14 +1,14 @@
-"""Detectors trained on datasets, and what they find in pictures; needs `graycast[detect]`.
+"""Detectors: training on datasets and detection in pictures; needs `graycast[detect]`.
 
-    networks, network             which networks there are; what all have in common
-    encoding, training_pictures   pictures as a network takes them
+    networks, network             the names of the networks; their common interface
+    encoding, training_pictures   the encoding of pictures as a network's input
     mask_rcnn, yolov3, solov2, yolov7, backbones, suppression   the networks
     run, training                 the folder of a training, and its loop
-    detector, detecting, drawing  a trained detector, its use on pictures, and drawings of that
-    onnx_file                     a detector for other programs
+    detector, detecting, drawing  a trained detector, its use on pictures, and drawings
+    onnx_file                     export of a detector for other programs
 
-A public name is imported from its module when it is first asked for, as the command line and the
-encoding of a picture need no PyTorch.
+A public name is imported from its module at its first use, because the command line and the
+encoding of a picture do not need PyTorch.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Backbones, which compute feature maps at 1/4 to 1/32 of an image's size; published weights."""
+"""Backbones, which compute feature maps at 1/4 to 1/32 of an image's size, and their weights."""
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -23,11 +23,11 @@ NORM_MOMENTUM = 0.1
 class Backbone(nn.Module):
     """A classifier without its head: feature maps at 1/4, 1/8, 1/16 and 1/32 of the image's size.
 
-    Its state dict has the names of the published classifier, so that published files fit.
+    Its state dict has the names of the published classifier, so that published weights fit.
 
     Attributes:
         name: one of `BACKBONES`.
-        channels: of each map.
+        channels: number of channels of each map.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Backbone(nn.Module):
         channels: tuple[int, ...],
         end: tuple[str, ...],
     ) -> None:
-        """`steps` are run in turn, what leaves `taps` is a map, `end` begins the names left out."""
+        """Run `steps` in turn; `taps` put out maps; ignore weights whose names start with `end`."""
         super().__init__()
         self.name, self.channels = name, channels
         self._steps, self._taps, self._end = tuple(steps), frozenset(taps), end
@@ -84,7 +84,7 @@ def open_backbone(name: str, *, channels: int) -> Backbone:
 
 
 def follow_fast(network: nn.Module) -> None:
-    """Let the norms of a network follow its training within tens of steps."""
+    """Set the momentum of a network's batch norms, so that they adapt within tens of steps."""
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
             module.momentum = NORM_MOMENTUM
@@ -93,17 +93,17 @@ def follow_fast(network: nn.Module) -> None:
 def load_backbone(body: Backbone, state: Mapping[str, Tensor]) -> None:
     """Load the weights of a published classifier (RGB) into a backbone.
 
-    Where the backbone has other than three channels, each of them gets the mean of the published
-    first convolution over red, green and blue, times 3 / channels: grey spread over all channels
-    is answered as the classifier answers grey.
+    If the backbone does not have three channels, each channel gets the mean over red, green and
+    blue of the published first convolution, times 3 / channels. The response to equal values in all
+    channels is then that of the classifier to grey.
 
     Args:
-        body: changed in place.
-        state: names and weights as torchvision publishes them; for `darknet53`, as mmdetection
-            does.
+        body: the backbone, which is changed in place.
+        state: weights by name, as published by torchvision; for `darknet53`, as by
+            mmdetection.
 
     Raises:
-        GraycastError: the weights are of another network. The backbone is unchanged.
+        GraycastError: the weights belong to another network; the backbone stays unchanged.
     """
     own = body.state_dict()
     weights = {key: value for key, value in state.items() if not key.startswith(body._end)}
@@ -130,12 +130,12 @@ def load_backbone(body: Backbone, state: Mapping[str, Tensor]) -> None:
 
 
 def load_weights(network: Network, file: Path) -> None:
-    """Load weights from a file: another run's detector, or a backbone as its makers publish it.
+    """Load weights from a file, which has another run's detector or a published backbone.
 
-    A detector's weights that have another shape, those of other classes, stay as they were drawn.
+    Detector weights with other shapes (because of other classes) are not loaded.
 
     Raises:
-        GraycastError: the file is missing or damaged, or holds weights of another network.
+        GraycastError: the file is missing or damaged, or has weights of another network.
     """
     state = _state(file)
     own = network.state_dict()
@@ -212,7 +212,7 @@ def _resnet(name: str, network: nn.Module, width: int, channels: int) -> Backbon
 
 
 def _first(convolution: nn.Conv2d, channels: int) -> nn.Conv2d:
-    """Return the same first convolution for other channels, drawn as the network draws its own."""
+    """Return the first convolution for other channels, with random weights if they differ."""
     if channels == convolution.in_channels:
         return convolution
     other = nn.Conv2d(
@@ -228,7 +228,7 @@ def _first(convolution: nn.Conv2d, channels: int) -> nn.Conv2d:
 
 
 def _darknet(name: str, channels: int) -> Backbone:
-    """Return the backbone of YOLOv3 (Redmon & Farhadi, 2018, Table 1)."""
+    """Return Darknet-53, the backbone of YOLOv3 (Redmon & Farhadi, 2018, Table 1)."""
     parts: dict[str, nn.Module] = {"conv1": Convolution(channels, 32, 3)}
     widths = (64, 128, 256, 512, 1024)
     for index, (width, count) in enumerate(zip(widths, (1, 2, 8, 8, 4), strict=True), 1):
@@ -242,7 +242,7 @@ def _darknet(name: str, channels: int) -> Backbone:
 
 @final
 class Convolution(nn.Module):
-    """Convolution, batch norm, leaky ReLU: what Darknet and YOLOv3 are made of."""
+    """Convolution, batch norm and leaky ReLU: a building block of Darknet and YOLOv3."""
 
     def __init__(self, inside: int, outside: int, size: int, *, stride: int = 1) -> None:
         super().__init__()

@@ -46,9 +46,9 @@ class DetectionResult:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureSelection:
-    """Pictures to look at, read one by one, and what `detect` writes of where they come from.
+    """Pictures for detection, which are read one by one, and a record of their source.
 
-    `class_ids` are those that each class has in the results; `record` is for `detect.json`.
+    `class_ids` has the id of each class in the results; `record` is written to `detect.json`.
     """
 
     examples: Iterable[Example]
@@ -67,15 +67,15 @@ def detect(
     drawings: int = 12,
     progress: ProgressMeter = UNWATCHED,
 ) -> DetectionResult:
-    """Look at pictures and write `results.json`, `detect.json` and the first drawings to `out`.
+    """Detect parts in pictures; write `results.json`, `detect.json` and drawings to `out`.
 
     Args:
-        drawings: how many pictures are drawn with what was found in them.
-        progress: counts pictures.
+        drawings: number of pictures that are drawn with their detections.
+        progress: meter that counts the pictures.
 
     Raises:
-        GraycastError: a picture is not of the kind that the detector sees, or `out` holds
-            something else or cannot be written.
+        GraycastError: a picture lacks the detector's input, or `out` holds other files or cannot be
+            written.
     """
     out = Path(out)
     refuse_foreign(out, DETECT_JSON)
@@ -121,7 +121,7 @@ def detect(
 
 
 def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
-    """Yield notes on depth that the detector would misread: filled holes, an unknown range."""
+    """Yield notes on depth that the detector may misread: filled holes, or an unknown range."""
     if encoding.near_m is None or encoding.far_m is None:
         return
     name, depth_m = f"scene {example.scene_id}", encoding.depth_m(example)
@@ -137,10 +137,10 @@ def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
 
 
 def _examples(shots: Sequence[RealPicture], scale_m: float | None) -> Iterator[Example]:
-    """Yield pictures as `import_real` reads them, without labels, numbered by their names' order.
+    """Yield pictures as read by `import_real`, without labels, numbered in the order of names.
 
     Raises:
-        DatasetError: one is damaged.
+        DatasetError: a picture is damaged.
     """
     for i, shot in enumerate(shots):
         # The detector works in pixels and along the axis, so it needs no intrinsics.
@@ -150,10 +150,10 @@ def _examples(shots: Sequence[RealPicture], scale_m: float | None) -> Iterator[E
 
 
 def detection_record(folder: Path) -> dict[str, Any]:
-    """Return the scenes and settings of an earlier `detect`; empty if there was none.
+    """Return the scenes and settings of an earlier `detect` in a folder; else an empty dictionary.
 
     Raises:
-        GraycastError: its file is damaged.
+        GraycastError: the file `detect.json` is damaged.
     """
     try:
         return dict(parse_json((folder / DETECT_JSON).read_bytes()))
@@ -173,16 +173,16 @@ def pictures_of(
     scale_m: float | None = None,
     as_real: bool = False,
 ) -> PictureSelection:
-    """Return the pictures of a dataset, of an export, or of a folder that `import_real` could read.
+    """Return the pictures of a dataset, of an export, or of a folder of real pictures.
 
     Args:
-        split: a set, or `all`. The scenes of a dataset are divided as the training divided them.
-        scale_m: metres in a unit of whole-numbered depth files.
-        as_real: perfect depth is hidden, as a real camera has none: what was trained on it sees
-            the scanner's.
+        split: a set, or `all`. A dataset's scenes are divided as in the detector's training.
+        scale_m: metres per unit of integer depth files.
+        as_real: whether to hide perfect depth, which a real camera does not have: a detector that
+            was trained on it then gets the scanner's depth.
 
     Raises:
-        GraycastError: the folder holds none of these, or knows none of the detector's parts.
+        GraycastError: the folder has no such pictures, or none of the detector's parts.
     """
     folder = Path(folder)
     if not (any((folder / name).is_file() for name in (CLAIM, RECORD)) or is_foreign(folder)):
@@ -213,7 +213,7 @@ def pictures_of(
 
 
 def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], dict[str, Any]]:
-    """The scenes of a dataset's or an export's set, or all; and what `detect.json` says of them."""
+    """Return the scenes of a set of a dataset or export, or of all sets; and a record of them."""
     if (folder / RECORD).is_file():
         splits = read_record(folder).splits if split == "all" else (split,)
         record: dict[str, Any] = {"split": None if split == "all" else split, "division": None}

@@ -35,10 +35,10 @@ class About:
     """The description of a detector without its weights.
 
     Attributes:
-        model: one of `networks.MODELS`, or the name of the class of a network of the caller.
-        backbone: of the model; None is the model's own choice.
-        encoding: from pictures to the network's input.
-        names: of the classes.
+        model: one of `networks.MODELS`, or the class name of the user's own network.
+        backbone: name of the backbone; None for the model's default.
+        encoding: encoding of pictures as the network's input.
+        names: names of the classes.
         trained: a record of the training: datasets, settings, versions.
     """
 
@@ -50,18 +50,18 @@ class About:
 
     @property
     def tells_apart(self) -> bool:
-        """Whether it has a class for each kind of part, and not one class for all."""
+        """Whether the detector has a class for each kind of part, and not one class for all."""
         return self.names != (ONE_CLASS,)
 
     def classes(self, categories: Mapping[int, str]) -> dict[int, int]:
-        """Return the class of each object id of a dataset; -1 of parts that it does not know."""
+        """Return the class of each object id of a dataset; -1 for parts without a class."""
         if not self.tells_apart:
             return dict.fromkeys(categories, 0)
         place = {name: i for i, name in enumerate(self.names)}
         return {obj_id: place.get(name, -1) for obj_id, name in categories.items()}
 
     def obj_ids(self, categories: Mapping[int, str], folder: Path) -> dict[str, int]:
-        """Return a dataset's id of each class; a detector of one class gets the dataset's first id.
+        """Return the object id of each class in a dataset; a single class gets the smallest id.
 
         Raises:
             GraycastError: the dataset has none of the classes.
@@ -77,7 +77,7 @@ class About:
         return own
 
     def open_network(self, own: type[Network] | None = None) -> Network:
-        """Return the network, or one of the class `own`, with weights from torch's generator."""
+        """Return the network, or one of the class `own`, with random weights."""
         return (own or network_class(self.model))(
             channels=self.encoding.channels,
             classes=len(self.names),
@@ -100,7 +100,7 @@ class About:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detector:
-    """A network with its weights, ready to look at pictures."""
+    """A network with its weights, ready for detection."""
 
     about: About
     network: Network
@@ -114,16 +114,16 @@ class Detector:
         most: int = 300,
         least_score: float = 0.05,
     ) -> Detections:
-        """Return the detections in one picture; its labels are not used.
+        """Return the detections in one picture; labels of the picture are not used.
 
         Args:
-            obj_ids: the dataset's id of each class; what it does not name is left out.
-            most: detections at most.
-            least_score: of a detection.
+            obj_ids: the dataset's object id of each class; other classes are left out.
+            most: largest number of detections.
+            least_score: lowest score of a detection.
 
         Raises:
-            GraycastError: the example has no picture of the kind that the detector sees, or its
-                depth lies far outside the range that the detector learnt.
+            GraycastError: the example lacks the picture that the detector needs, or its depth is
+                far outside the range of the training.
         """
         encoding = self.about.encoding
         if encoding.near_m is not None and encoding.far_m is not None:
@@ -154,7 +154,7 @@ class Detector:
         most: int = 300,
         least_score: float = 0.05,
     ) -> Detections:
-        """Do the same as `detect` for an encoded picture, which was `picture_px` high and wide."""
+        """Return the detections in an encoded picture, which was `picture_px` high and wide."""
         image = torch.from_numpy(encoded)[None].to(self.device)
         output = self.answer(image, most=most, least_score=least_score)
         ids = np.array([obj_ids.get(name, -1) for name in self.about.names], np.int64)
@@ -163,7 +163,7 @@ class Detector:
     def answer(
         self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
     ) -> NetworkOutput:
-        """Return the answer of the network in pixels of its input, with the device's precision."""
+        """Return the network's output in pixels of its input, with the device's precision."""
         with torch.inference_mode(), autocast(self.device), without_denormals():
             return self.network.find(image, most=most, least_score=least_score)[0]
 
@@ -175,7 +175,7 @@ def _detections(
     picture_px: tuple[int, int],
     scale: float,
 ) -> Detections:
-    """Convert detections to the picture's pixels, cut them at its edges, and drop empty ones."""
+    """Return detections in the picture's pixels, cut at its edges and without empty ones."""
     height_px, width_px = picture_px
     edge = output.box.float().cpu().numpy().astype(np.float64) / scale
     edge = np.clip(edge, 0, [width_px, height_px, width_px, height_px])
@@ -200,9 +200,9 @@ def _detections(
 def _outline(
     probability: np.ndarray, edge: np.ndarray, picture_px: tuple[int, int], scale: float
 ) -> dict[str, Any]:
-    """Mask at the picture's size: probability, interpolated linearly, is thresholded at 0.5.
+    """Return a mask at the picture's size: pixels with interpolated probability above 0.5.
 
-    Only the box and one of the input's pixels about it are looked at, for speed.
+    For speed, only the box and a margin of one input pixel around it are computed.
     """
     height_px, width_px = picture_px
     margin = 1 / scale + 1
@@ -230,7 +230,7 @@ def _outline(
 
 
 def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -> None:
-    """Write weights and all that belongs to them, whole or not at all."""
+    """Write the weights and the description of a detector, completely or not at all."""
     checkpoint = {"about": json.dumps(about.as_dict()), "state": dict(state)}
     fill_whole(path, lambda file: torch.save(checkpoint, file))
 
@@ -238,13 +238,13 @@ def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -
 def load_detector(
     path: Path | str, *, device: str = "auto", network: type[Network] | None = None
 ) -> Detector:
-    """Return a detector from its file, or from the folder of its run.
+    """Load a detector from its file or from the folder of its training.
 
     Args:
         network: the class that was passed to `train`, for a network of your own.
 
     Raises:
-        GraycastError: the file is missing, damaged, or no detector of Graycast.
+        GraycastError: the file is missing, damaged, or not a detector of Graycast.
     """
     path = Path(path)
     file = path / WEIGHTS if path.is_dir() else path
@@ -282,10 +282,10 @@ def load_detector(
 
 
 def choose_device(name: str) -> torch.device:
-    """Return the device of a name; `auto` is the GPU if torch has one, else the processor.
+    """Return the device with a name; `auto` is the GPU if torch has one, else the processor.
 
     Raises:
-        GraycastError: a GPU is asked for, and torch finds none.
+        GraycastError: a GPU is requested, and torch finds no GPU.
     """
     if name == "cuda" and not torch.cuda.is_available():
         raise GraycastError("torch finds no NVIDIA GPU: use --device cpu, or repair the driver")
@@ -297,8 +297,8 @@ def choose_device(name: str) -> torch.device:
 def without_denormals() -> Iterator[None]:
     """Treat denormal numbers as zero inside the block, because processors are slow with them.
 
-    The mode is restored at the end, because it affects all code of the thread: SciPy's k-d
-    tree, for one, never ends where the difference of two unequal numbers is zero.
+    The mode is restored at the end, because it affects all code of the thread: for example, SciPy's
+    k-d tree runs forever if the difference of two unequal numbers is zero.
     """
     before = sys.float_info.min / 2 == 0  # torch sets the mode but cannot report it.
     torch.set_flush_denormal(True)
@@ -309,17 +309,17 @@ def without_denormals() -> Iterator[None]:
 
 
 def put_on(network: Network, device: torch.device) -> Network:
-    """The network itself on a device, its kernels in the order in which processors read a picture.
+    """Move a network to a device, with its kernels in the order in which processors read pictures.
 
-    A training of Mask R-CNN on a processor takes two thirds of the time in that order.
+    In this order, training of Mask R-CNN on a processor takes two thirds of the time.
     """
     return network.to(device, memory_format=torch.channels_last)
 
 
 def autocast(device: torch.device):
-    """Mixed precision where the device has it: a GPU, and processors that multiply in bfloat16.
+    """Return a context with mixed precision if the device is fast with it, such as a GPU.
 
-    On a processor that has to emulate bfloat16 it would be slower than plain numbers.
+    On a processor that only emulates bfloat16, mixed precision would be slower than float32.
     """
     # Older releases of torch do not report it.
     can: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()

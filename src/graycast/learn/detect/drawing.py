@@ -1,4 +1,4 @@
-"""A picture of detections: enlarged, cut to where they are, each in a colour with its score."""
+"""Drawings of detections: an enlarged crop around the detections, with outlines and scores."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _INKS = (
 
 @dataclass(frozen=True, slots=True)
 class Cutout:
-    """A part of a picture and how many times it is enlarged; whole pixels, the right end is out."""
+    """A crop of a picture in whole pixels (`right` and `bottom` are excluded), and its zoom."""
 
     left: int
     top: int
@@ -37,11 +37,11 @@ class Cutout:
 def draw_detections(
     image: UInt8[np.ndarray, "h w 3"], detections: Detections, names: Mapping[int, str]
 ) -> UInt8[np.ndarray, "rows columns 3"]:
-    """Draw the outlines of the detections with a score of at least 0.5, and their scores on plates.
+    """Draw the outlines and scores of the detections whose score is at least 0.5.
 
     Args:
-        image: RGB.
-        names: of the objects; where there are several, a plate has the name beside the score.
+        image: RGB picture.
+        names: names of the object ids; if there are several, each score is preceded by a name.
     """
     count = int(np.count_nonzero(detections.score >= LEAST_SCORE))
     boxes = detections.box_px[:count]
@@ -66,7 +66,7 @@ def draw_detections(
 
 
 def cutout_of(boxes: Float[np.ndarray, "n 4"], width_px: int, height_px: int) -> Cutout:
-    """Return the surroundings of the boxes, enlarged so that most boxes can hold a plate."""
+    """Return a crop around the boxes, enlarged so that most boxes have room for a plate."""
     left, top, right, bottom = 0, 0, width_px, height_px
     if len(boxes):
         low, high = boxes[:, :2].min(axis=0), (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
@@ -85,10 +85,10 @@ def cutout_of(boxes: Float[np.ndarray, "n 4"], width_px: int, height_px: int) ->
 def plate_places(
     texts: Sequence[str], centers: Float[np.ndarray, "n 2"], width_px: int, height_px: int
 ) -> list[tuple[int, int, int, int] | None]:
-    """Return (left, top, right, bottom) of a plate for each text, as near as can be to its centre.
+    """Return (left, top, right, bottom) of a plate for each text, close to the text's centre.
 
-    No two plates overlap, and all lie within the picture. A text for which there is no room gets
-    None; the first texts have the first choice.
+    The plates do not overlap and are inside the picture. The first texts are placed first; if there
+    is no room for a text, its place is None.
     """
     places: list[tuple[int, int, int, int] | None] = []
     for text, (x, y) in zip(texts, centers.tolist(), strict=True):
@@ -116,7 +116,7 @@ def _overlap(one: tuple[int, int, int, int], other: tuple[int, int, int, int]) -
 
 
 def _outlines(detections: Detections, i: int, view: Cutout) -> list[np.ndarray]:
-    """The outline of a mask, else of a box, in pixels of the drawing."""
+    """Return the outlines of a mask, or of a box if there is no mask, in pixels of the drawing."""
     if detections.mask is None:
         x, y, columns, rows = detections.box_px[i]
         corners = np.array([[x, y], [x + columns, y], [x + columns, y + rows], [x, y + rows]])
@@ -138,7 +138,7 @@ def _draw_plate(
     ink: tuple[int, int, int],
     center: Float[np.ndarray, "2"],
 ) -> None:
-    """Text on a dark plate with a rim in the detection's colour; a line leads to a far centre."""
+    """Draw text on a dark plate with a coloured rim, and a line to the centre if it is outside."""
     left, top, right, bottom = plate
     x, y = (round(float(value)) for value in center)
     if not (left <= x <= right and top <= y <= bottom):

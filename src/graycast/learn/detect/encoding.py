@@ -33,19 +33,19 @@ _NOISY_HOLE_PX = (1, 12)  # range of radii at the picture's own size
 class Encoding:
     """A picture's channels, in the order of a network's input.
 
-    Colour is sRGB less the mean of photographs, over their deviation. Depth is metric: -1 at
-    `near_m`, 1 at `far_m`, cut off there, the same for every picture. With `holes` as `channel`
-    the share of a pixel that has depth follows as a channel of its own, and depth is weighted by
-    it; as `zero` and `far`, missing depth is the near or the far end, as a picture in which it is
-    0 or the background would have it. `relief` adds the height over the neighbourhood's mean.
+    Colour is sRGB, normalized by the mean and deviation of photographs. Depth is metric, from -1 at
+    `near_m` to 1 at `far_m`, and clipped. If `holes` is `channel`, depth is multiplied by the share
+    of the pixel with known depth, and this share is a channel; `zero` and `far` encode missing
+    depth as the near or far end. `relief` adds a channel: the height above the mean nearby. A
+    picture is scaled to fit `size_px` and is put in its top-left corner; other pixels are 0.
 
     A picture is scaled to fit into `size_px` and lies in its top-left corner; what remains is 0.
 
     Attributes:
-        input: `rgb`; `depth`, the perfect one; `depth_sl`, the scanner's; `depth_noisy`, perfect
+        input: `rgb`; `depth`, perfect depth; `depth_sl`, scanner depth; `depth_noisy`, perfect
             depth with Gaussian noise and random holes; `rgbd`, colour and the scanner's depth.
         size_px: height and width, multiples of 32.
-        near_m, far_m: of the working volume, z of the camera; None for `rgb`.
+        near_m, far_m: range of z in the camera's frame; None for `rgb`.
     """
 
     input: str
@@ -74,7 +74,7 @@ class Encoding:
 
     @property
     def coloured(self) -> bool:
-        """Whether colour is among the channels: they come first."""
+        """Whether colour is among the channels; if so, it comes first."""
         return self.input in ("rgb", "rgbd")
 
     @property
@@ -83,14 +83,14 @@ class Encoding:
         return 3 * self.coloured + deep * self.deep
 
     def scale(self, picture_px: tuple[int, int]) -> float:
-        """Return the scale from a picture of that height and width to the input."""
+        """Return the scale from a picture of this height and width to the input."""
         return min(self.size_px[0] / picture_px[0], self.size_px[1] / picture_px[1])
 
     def encode(self, example: Example, *, seed: int) -> Float32[np.ndarray, "c h w"]:
-        """Return the input; `seed` draws the noise of `depth_noisy`, and nothing else.
+        """Return the network's input; `seed` is only used for the noise of `depth_noisy`.
 
         Raises:
-            GraycastError: the example has no such picture.
+            GraycastError: the example lacks a picture that the encoding needs.
         """
         layers = []
         if self.coloured:
@@ -102,15 +102,14 @@ class Encoding:
         return np.stack(layers)
 
     def picture_px(self, example: Example) -> tuple[int, int]:
-        """Return height and width of the picture that is encoded."""
+        """Return height and width of the picture before its encoding."""
         image = example.rgb if self.coloured else self.depth_m(example)
         return _needed(image, "rgb", example).shape[:2]
 
     def depth_m(self, example: Example) -> Float32[np.ndarray, "h w"]:
-        """Return the depth that is encoded, before any noise is added.
+        """Return the depth to encode, without added noise.
 
-        A real camera has no perfect depth: what was trained on it looks at the scanner's there,
-        and no noise is added to that.
+        If perfect depth is needed but missing, as for a real camera, this is the scanner's depth.
         """
         if self.input in ("depth", "depth_noisy") and example.depth_m is not None:
             return example.depth_m
@@ -141,7 +140,7 @@ class Encoding:
     def _relief(
         self, weighted: Float32[np.ndarray, "h w"], share: Float32[np.ndarray, "h w"]
     ) -> Float32[np.ndarray, "h w"]:
-        """Return the height above the mean known depth nearby, positive towards the camera."""
+        """Return the height above the mean of known depth nearby, positive towards the camera."""
         side = 2 * round(max(self.size_px) * _RELIEF_WINDOW / 2) + 1
         window = (side, side)
         known = cv2.blur(share, window, borderType=cv2.BORDER_REFLECT_101)
@@ -162,23 +161,23 @@ class Encoding:
 
 
 def encoding_from(record: Mapping[str, Any]) -> Encoding:
-    """Return the encoding whose fields are given."""
+    """Return the encoding with the fields in a record."""
     return Encoding(**{**record, "size_px": tuple(record["size_px"])})
 
 
 def fitting_size(picture_px: tuple[int, int], longest_px: int) -> tuple[int, int]:
-    """Return the input's height and width for pictures of that size: multiples of 32."""
+    """Return the input's height and width, multiples of 32, for pictures of a given size."""
     scale = longest_px / max(picture_px)
     height_px, width_px = (max(32, math.ceil(side * scale / 32 - 1e-9) * 32) for side in picture_px)
     return height_px, width_px
 
 
 def noisy(depth_m: Float32[np.ndarray, "h w"], *, seed: int) -> Float32[np.ndarray, "h w"]:
-    """Return depth with the usual simulated noise: 1 mm (Gaussian), and round holes in 5 % of it.
+    """Return depth with simple simulated noise: 1 mm (Gaussian), and round holes in 5 % of it.
 
-    It serves for comparison only: its holes do not depend on the light. The noise follows from the
-    seed and from the picture, so that two pictures with one seed, such as two images of a scene,
-    or one for training and one for validation, do not share it.
+    This noise is for comparison only: its holes do not depend on the light. It depends on the seed
+    and on the picture, so that two pictures with one seed, such as two images of a scene or a
+    picture for training and one for validation, have different noise.
     """
     picture = zlib.crc32(depth_m.tobytes())
     rng = np.random.default_rng([seed, 0x6E6F6973, picture])

@@ -1,7 +1,7 @@
 """Mask R-CNN (He et al., ICCV 2017) from torchvision's pieces, on a feature pyramid.
 
-Ours are the sizes (narrower than the published ones, which are for photographs of 80 classes) and
-what becomes of ignored instances, which torchvision does not know.
+Graycast changes two things: smaller sizes (the published ones are for photographs of 80 classes),
+and ignored instances, which torchvision does not have.
 """
 
 from collections import OrderedDict
@@ -35,7 +35,7 @@ _HIDDEN_SHARE = 0.5  # An anchor is no negative if more than this share lies in 
 
 @final
 class MaskRcnn(Network):
-    """Boxes in two stages, then a mask of 28 x 28 in each box."""
+    """Mask R-CNN: boxes in two stages, then a mask of 28 x 28 in each box."""
 
     finds_masks = True
     recipe = Recipe(learning_rate=4e-4, batch=4, weight_decay=0.05)
@@ -118,9 +118,9 @@ class MaskRcnn(Network):
 
 @final
 class _Proposals(RegionProposalNetwork):
-    """A proposal network whose training leaves out proposals on ignored instances.
+    """A proposal network whose training ignores proposals on ignored instances.
 
-    The second stage needs no change: it leaves out proposals that match the label -1.
+    The second stage needs no change, because it skips proposals that match the label -1.
     """
 
     def assign_targets_to_anchors(
@@ -136,7 +136,7 @@ class _Proposals(RegionProposalNetwork):
 
 
 def _covered(box: Float[Tensor, "n 4"], by: Float[Tensor, "m 4"]) -> Float[Tensor, " n"]:
-    """Return the largest share of each box that any one of the other boxes covers."""
+    """Return the largest share of each box that a single box of `by` covers."""
     low = torch.maximum(box[:, None, :2], by[None, :, :2])
     high = torch.minimum(box[:, None, 2:], by[None, :, 2:])
     shared = (high - low).clamp(min=0).prod(dim=2)
@@ -144,7 +144,7 @@ def _covered(box: Float[Tensor, "n 4"], by: Float[Tensor, "m 4"]) -> Float[Tenso
 
 
 def _torchvision_target(target: Target) -> dict[str, Tensor]:
-    """Return labels in torchvision's convention: 0 is the background, and -1 is ignored."""
+    """Return a target in torchvision's convention: label 0 is the background, -1 is ignored."""
     return {
         "boxes": target.box,
         "labels": torch.where(target.ignored, -1, target.label + 1),

@@ -1,4 +1,4 @@
-"""The interface of all networks: training on labels and finding parts."""
+"""The common interface of all networks: losses for training, and detection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Target:
-    """Labels of one picture, in pixels of the network's input.
+    """The labels of one picture, in pixels of the network's input.
 
     Attributes:
-        box: x0, y0, x1, y1: outer edges, from the outer corner of the top-left pixel on.
+        box: x0, y0, x1, y1 of the outer edges; the origin is the outer corner of the picture.
         label: classes, from 0.
-        mask: what is visible of each; None where the network does not ask for masks.
-        ignored: an instance too hidden to count: the network need not find it, and a detection
-            there is no mistake.
+        mask: visible pixels of each instance; None if the network does not need masks.
+        ignored: whether too little of an instance is visible: the network need not find it, and a
+            detection of it is no mistake.
     """
 
     box: Float[Tensor, "n 4"]
@@ -26,17 +26,17 @@ class Target:
     ignored: Bool[Tensor, " n"]
 
     def masks(self) -> Bool[Tensor, "n h w"]:
-        """Return masks, for a network that asks for them.
+        """Return the masks, for a network that needs them.
 
         Raises:
-            ValueError: there are none.
+            ValueError: the target has no masks.
         """
         if self.mask is None:
             raise ValueError("this network learns from masks, and the target has none")
         return self.mask
 
     def to(self, device: torch.device) -> "Target":
-        """Return the same on a device."""
+        """Return the same target on a device."""
         return Target(
             box=self.box.to(device),
             label=self.label.to(device),
@@ -49,8 +49,8 @@ class Target:
 class NetworkOutput:
     """Detections in one picture, best first, in pixels of the network's input.
 
-    `mask` is a probability, 0 to 255; its edge is where it crosses 127.5. None from a network that
-    has boxes alone.
+    `mask` is a probability from 0 to 255, with the edge at 127.5; it is None if the network finds
+    only boxes.
     """
 
     box: Float[Tensor, "n 4"]
@@ -64,9 +64,9 @@ class Recipe:
     """The default settings of a network's training, whose optimizer is AdamW.
 
     Attributes:
-        learning_rate: at its highest, for a batch of `batch` pictures.
-        batch: pictures in a step.
-        weight_decay: of matrices; biases and norms have none.
+        learning_rate: highest learning rate, for a batch of `batch` pictures.
+        batch: number of pictures in a step.
+        weight_decay: weight decay of matrices; biases and norms have none.
     """
 
     learning_rate: float
@@ -77,15 +77,15 @@ class Recipe:
 class Network(nn.Module):
     """Base of all networks: training on labels, and detection of parts.
 
-    Input is `(b, channels, h, w)` float, h and w multiples of 32, made by `encoding.Encoding`. All
-    random choices use torch's global generator, which the training loop owns.
+    The input, made by `encoding.Encoding`, is `(b, channels, h, w)` float; h and w are multiples of
+    32. All random choices use torch's global generator, which the training loop seeds.
 
-    It is made with random weights, drawn from torch's global generator, and with these arguments:
+    A constructor gives random weights by torch's global generator, and has these arguments:
 
-        channels: of the input.
-        classes: how many there are of parts; what is none of them is no class.
-        backbone: the name of one that the model knows, most often one of `backbones`; None for
-            its own choice.
+        channels: number of channels of the input.
+        classes: number of classes of parts; the background is not a class.
+        backbone: name of a backbone of the model, usually one of `backbones`; None for the
+            model's default.
         size_px: height and width of the input, multiples of 32.
     """
 
@@ -95,15 +95,15 @@ class Network(nn.Module):
     def losses(
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
-        """Terms of the loss by name; their sum is what training makes small. In train mode."""
+        """Return the terms of the loss by name; training minimizes their sum. Needs train mode."""
         raise NotImplementedError
 
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Return detections of each picture: at most `most`, with at least `least_score`.
+        """Return the detections in each picture: at most `most`, with at least `least_score`.
 
-        The network is in eval mode: the caller has said `network.eval()`. In train mode its norms
-        would follow the pictures that it looks at, and some networks answer with losses instead.
+        The caller must call `network.eval()` before: in train mode, batch norms would adapt to the
+        pictures, and some networks would return losses.
         """
         raise NotImplementedError

@@ -1,6 +1,6 @@
-"""Names of the networks and of their inputs, from which the command line takes its choices.
+"""Names of the networks and of their inputs, for the choices of the command line.
 
-PyTorch, which takes seconds to load and may be missing, is imported with a network.
+PyTorch is slow to import and may be missing, so it is imported only with a network.
 """
 
 from typing import TYPE_CHECKING
@@ -20,10 +20,10 @@ HOLES = ("channel", "zero", "far")  # how missing depth is encoded
 
 
 def network_class(model: str) -> "type[Network]":
-    """Return the class of a network; its constructor refuses a library that is not installed.
+    """Return the class of a network; its constructor reports a missing library.
 
     Raises:
-        GraycastError: no such model.
+        GraycastError: the model does not exist.
     """
     match model:
         case "mask-rcnn":

@@ -1,4 +1,4 @@
-"""A detector as an ONNX file, whose output is compared with torch before it is written."""
+"""Export of a detector as an ONNX file, which is compared with torch before it is written."""
 
 import io
 import json
@@ -20,7 +20,7 @@ _MOST_OFF_PX, _MOST_OFF_SCORE = 0.05, 1e-3
 
 
 class _OnePicture(nn.Module):
-    """A network's answer to one picture as plain tensors."""
+    """A module that returns a network's detections in one picture as plain tensors."""
 
     def __init__(self, network: nn.Module, most: int, least_score: float) -> None:
         super().__init__()
@@ -35,7 +35,7 @@ class _OnePicture(nn.Module):
 def write_onnx(
     detector: Detector, file: Path, *, most: int = 300, least_score: float = 0.05
 ) -> None:
-    """Write a file that takes an encoded picture `image` (1, channels, h, w) and gives detections.
+    """Write an ONNX file whose input is `image`, an encoded picture (1, channels, h, w).
 
     Outputs are `box` (n, 4) as x0, y0, x1, y1 and `mask` (n, h, w), 0 to 255, in pixels of the
     input, `label` (n) and `score` (n). The encoding and the classes are in the file's metadata
@@ -43,7 +43,7 @@ def write_onnx(
 
     Raises:
         GraycastError: onnx is not installed, the network cannot be written as ONNX, or onnxruntime
-            and torch find different things in a picture of noise.
+            and torch give different detections in a picture of noise.
     """
     try:
         import onnx
@@ -94,7 +94,7 @@ def _noise(detector: Detector, seed: int) -> Tensor:
 
 
 def _compare(session, model: Callable[[Tensor], tuple[Tensor, ...]], image: Tensor) -> None:
-    """Compare the detections of both; detections near the lowest score may differ."""
+    """Check that both give equal detections; those near the lowest score may differ."""
     with torch.no_grad():
         box, _, score = (each.numpy() for each in model(image)[:3])
     try:

@@ -53,14 +53,14 @@ _PRECISIONS = {
 @final
 @dataclass(slots=True, kw_only=True)
 class Progress:
-    """The progress of a training, with everything that is needed to continue it.
+    """The progress of a training, with all data to continue it.
 
     Attributes:
-        step: steps done, of all epochs.
-        sums: of the losses since the epoch began.
-        rows: one for each epoch that is done.
-        best: the best score of the validation so far.
-        since: validations since then.
+        step: number of finished steps of all epochs.
+        sums: sums of the losses since the start of the epoch.
+        rows: one row for each finished epoch.
+        best: best validation score so far.
+        since: number of validations since the best one.
     """
 
     step: int = 0
@@ -79,12 +79,12 @@ class RunFolder:
 
     @contextmanager
     def claimed(self, content: Mapping[str, Any]) -> Iterator[None]:
-        """Make the folder or open the same training in it, locked against other trainings.
+        """Make the folder, or open it for the same training; lock it against other trainings.
 
-        A run that never came to its first checkpoint gives way to another.
+        A run without a checkpoint is replaced.
 
         Raises:
-            GraycastError: another run, or something else, lives there, or trains there just now.
+            GraycastError: the folder has another run or other files, or a training runs in it.
         """
         file = self.path / RUN
         with self._locked():
@@ -100,7 +100,7 @@ class RunFolder:
             yield
 
     def _locked(self) -> IO[str]:
-        """Return the folder's lock, which a process that is killed leaves free."""
+        """Return the lock of the folder, which becomes free if its process is killed."""
         if self.path.is_file():
             raise GraycastError(f"{self.path}: is a file: choose a folder")
         if not (self.path / RUN).is_file() and self.path.is_dir():
@@ -133,7 +133,7 @@ class RunFolder:
 
     @property
     def cache(self) -> Path:
-        """A folder for files that can be made again."""
+        """The folder for temporary files, which can be made again."""
         folder = self.path / CACHE
         folder.mkdir(exist_ok=True)
         return folder
@@ -147,9 +147,9 @@ class RunFolder:
         fill_whole(self.path / CHECKPOINT, lambda file: torch.save(checkpoint, file))
 
     def resume(self, network: torch.nn.Module, optimizer: Any) -> Progress:
-        """Load the last checkpoint into both; start from the beginning if there is none.
+        """Load the last checkpoint into network and optimizer, if any; return the progress.
 
-        The history is rewritten: a kill between it and its checkpoint would lose its last row.
+        The history is written again, because it lacks its last row after a kill at that moment.
 
         Raises:
             GraycastError: the checkpoint is damaged.
@@ -171,7 +171,7 @@ class RunFolder:
         return progress
 
     def tell(self, rows: Sequence[Row]) -> None:
-        """Write the history as CSV and as a picture, from the rows."""
+        """Write the history of the rows as a CSV file and as a picture."""
         texts = [{name: f"{value:.6g}" for name, value in row.items()} for row in rows]
         write_whole(self.path / _HISTORY, records_csv(texts).encode())
         _draw(rows, self.path / _CURVES)

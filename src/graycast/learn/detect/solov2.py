@@ -1,9 +1,9 @@
-"""SOLOv2: masks without boxes; each cell of a grid makes the kernel that paints its instance.
+"""SOLOv2: masks without boxes; each cell of a grid computes the kernel for its instance's mask.
 
 Source: Wang, Zhang, Kong, Li & Shen, "SOLOv2: Dynamic and Fast Instance Segmentation", NeurIPS
-2020. What the paper leaves open is as in mmdetection 3.3: equal weights give equal losses and
-masks, which a slow test shows. One thing differs on purpose: the ranges of sizes are shares of the
-picture (mmdetection's in pixels, divided by the size of its training pictures).
+2020. Details that the paper does not state are as in mmdetection 3.3: a slow test shows that equal
+weights give equal losses and masks. One difference is intended: the ranges of sizes are shares of
+the picture, but mmdetection has them in pixels of its training pictures.
 """
 
 from collections import OrderedDict
@@ -41,10 +41,10 @@ NMS_SIGMA = 2.0
 
 @final
 class Solov2(Network):
-    """Finds masks and the boxes that enclose them.
+    """A network that finds masks and the boxes around them.
 
-    With `resnet50` it is the paper's SOLOv2, with `resnet18` its SOLOv2-light; the small backbones
-    carry a head of half that width.
+    With `resnet50`, this is the paper's SOLOv2, and with `resnet18` its SOLOv2-light. The small
+    backbones have a head of half the width.
     """
 
     finds_masks = True
@@ -74,7 +74,7 @@ class Solov2(Network):
         Float[Tensor, "b cells kernel"],
         Float[Tensor, "b kernel h4 w4"],
     ]:
-        """Return scores (logits) and kernels of all levels' cells, and the map they use."""
+        """Return the scores (logits) and kernels of all levels' cells, and the mask feature map."""
         maps = OrderedDict((str(i), m) for i, m in enumerate(self.body(image)))
         levels = list(self.pyramid(maps).values())
         painted = self.painter(levels[:4])
@@ -91,7 +91,7 @@ class Solov2(Network):
     def losses(
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
-        """Return the focal loss of all cells, and the Dice loss of claimed cells."""
+        """Return the Dice loss of cells that own an instance, and the focal loss of all cells."""
         score, kernel, painted = self(image)
         labels = torch.full(score.shape[:2], self.classes, device=score.device)
         counts = torch.ones_like(labels, dtype=torch.bool)
@@ -115,7 +115,7 @@ class Solov2(Network):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Return the masks with enough score after Matrix NMS."""
+        """Return the masks whose score after Matrix NMS is high enough."""
         answers = zip(*self(image), strict=True)
         return [self._find(*answer, most=most, least_score=least_score) for answer in answers]
 
@@ -150,7 +150,7 @@ class Solov2(Network):
 
 @final
 class _Painter(nn.Module):
-    """The mask feature map: the sum of all levels at a quarter of the picture's size."""
+    """A module for the mask feature map: the sum of all levels at a quarter of the picture size."""
 
     def __init__(self, outside: int, width: int = 128) -> None:
         super().__init__()
@@ -186,20 +186,20 @@ def _tower(inside: int, width: int, depth: int, outside: int) -> nn.Sequential:
 
 
 def _with_place(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c2 h w"]:
-    """Append channels x and y, from -1 at the first pixel to 1 at the last (CoordConv)."""
+    """Append channels with x and y, from -1 at the first pixel to 1 at the last (CoordConv)."""
     y, x = (torch.linspace(-1, 1, side, device=maps.device) for side in maps.shape[-2:])
     place = torch.stack(torch.meshgrid(x, y, indexing="xy")).to(maps.dtype)
     return torch.cat([maps, place.expand(len(maps), -1, -1, -1)], dim=1)
 
 
 def _quarter(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n h4 w4"]:
-    """Return masks at the map's stride: set if two of the middle four of 4 x 4 pixels are."""
+    """Return masks at the map's stride: true if two of the middle four of 4 x 4 pixels are true."""
     middle = [slice(first, None, MASK_STRIDE) for first in (1, 2)]
     return (sum(mask[:, row, column].int() for row in middle for column in middle) >= 2).float()
 
 
 def _claims(target: Target) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
-    """Return pairs (instance, cell that it claims), level by level, in the instances' order."""
+    """Return pairs of an instance and a cell that it owns, sorted by level, then by instance."""
     mask = target.masks()
     size = torch.tensor([mask.shape[2], mask.shape[1]], device=mask.device)
     sides = target.box[:, 2:] - target.box[:, :2]
@@ -227,14 +227,14 @@ def _claims(target: Target) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
 
 
 def _centre_of_mass(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n 2"]:
-    """Return the mean column and row of the pixels; 0, 0 of an empty mask."""
+    """Return the mean column and row of each mask's pixels; 0, 0 for an empty mask."""
     column, row = (torch.arange(n, device=mask.device) for n in (mask.shape[2], mask.shape[1]))
     total = torch.stack([(mask.sum(1) * column).sum(1), (mask.sum(2) * row).sum(1)], dim=1)
     return total / mask.sum(dim=(1, 2)).clamp(min=1)[:, None]
 
 
 def _dice(mask: Float[Tensor, "n h w"], truth: Float[Tensor, "n h w"]) -> Float[Tensor, " n"]:
-    """Return 1 minus twice the overlap over the sum of squares (Milletari et al., V-Net, 2016)."""
+    """Return the Dice loss: 1 - 2 overlap / sum of squares (Milletari et al., V-Net, 2016)."""
     both = (mask * truth).sum(dim=(1, 2))
     return 1 - 2 * both / (
         mask.square().sum(dim=(1, 2)) + truth.square().sum(dim=(1, 2)) + 2 * DICE_EPS
@@ -242,7 +242,7 @@ def _dice(mask: Float[Tensor, "n h w"], truth: Float[Tensor, "n h w"]) -> Float[
 
 
 def _focal(logit: Float[Tensor, "n k"], truth: Float[Tensor, "n k"]) -> Float[Tensor, ""]:
-    """Return cross-entropy, small where the answer is right already (Lin et al., 2017)."""
+    """Return the focal loss: cross-entropy, smaller for correct answers (Lin et al., 2017)."""
     score = logit.sigmoid()
     wrong = (truth - score).abs()
     weight = FOCAL_ALPHA * truth + (1 - FOCAL_ALPHA) * (1 - truth)
@@ -251,7 +251,7 @@ def _focal(logit: Float[Tensor, "n k"], truth: Float[Tensor, "n k"]) -> Float[Te
 
 
 def _peaks(score: Float[Tensor, "cells classes"]) -> Float[Tensor, "cells classes"]:
-    """Return scores, 0 where the cell above, left or above-left has a higher one."""
+    """Return the scores, but 0 if the cell above, left or above-left has a higher score."""
     out = []
     for level in score.split([grid * grid for grid in GRIDS]):
         grid = round(len(level) ** 0.5)
@@ -262,10 +262,10 @@ def _peaks(score: Float[Tensor, "cells classes"]) -> Float[Tensor, "cells classe
 
 
 def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """Return by how much matrix NMS scales each mask's score, given better ones of its class.
+    """Return the factor by which Matrix NMS lowers each mask's score; the masks are sorted.
 
-    The paper's equation 5, Gaussian: the least of exp(-s iou_ij^2) / exp(-s worst_i^2) over the
-    better masks i, where worst_i is the overlap of i with what is better still.
+    This is the paper's equation 5 (Gaussian): the minimum over better masks i of its class of
+    exp(-s iou_ij^2) / exp(-s worst_i^2), where worst_i is i's largest overlap with a better mask.
     """
     if not len(mask):
         return mask.new_zeros(0)
@@ -279,7 +279,7 @@ def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float
 def _output(
     mask: Float[Tensor, "n h w"], label: Int64[Tensor, " n"], score: Float32[Tensor, " n"]
 ) -> NetworkOutput:
-    """Return masks at the scale of the input, and the boxes around them."""
+    """Return masks at the scale of the input, and the boxes around these masks."""
     count, height, width = mask.shape
     if count:
         mask = interpolate(mask[None], scale_factor=MASK_STRIDE, mode="bilinear")[0]

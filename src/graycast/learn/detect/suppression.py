@@ -17,13 +17,13 @@ def best_boxes(
     least_score: float,
     size_px: tuple[int, int],
 ) -> NetworkOutput:
-    """Return boxes that no better one of their class overlaps much, cut to the picture.
+    """Return boxes, cut to the picture, that no better box of their class overlaps much.
 
     Args:
-        box: candidates, each for every class.
-        score: of each candidate and class; what has none is no candidate.
-        most: detections in the end; ten times as many candidates are looked at.
-        least_score: of a detection.
+        box: candidate boxes, each for every class.
+        score: score of each candidate and class; 0 means that it is not a candidate.
+        most: largest number of detections; ten times as many candidates are compared.
+        least_score: lowest score of a detection.
         size_px: height and width of the picture.
     """
     best, place = score.flatten().topk(min(10 * most, score.numel()))

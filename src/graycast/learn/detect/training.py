@@ -1,4 +1,4 @@
-"""Training of a detector: one loop for every network, which can be stopped and continued."""
+"""Training of a detector: one loop for all networks, which can be stopped and continued."""
 
 import hashlib
 import math
@@ -50,23 +50,23 @@ _RANGE_MARGIN = 0.05  # This share of the depth's span is added at both ends.
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainSpec:
-    """Options of a training; None leaves the choice to the model.
+    """Options of a training; None selects the model's default.
 
     Attributes:
-        model, backbone: one of `networks.MODELS`, and its backbone.
-        input, longest_px: what the network sees, and the longer side of that picture.
-        holes, relief, range_m: of the encoding; the range is measured where it is None.
-        epochs: how often each picture is seen.
-        batch, learning_rate: of a step.
-        seed: of weights, order and augmentation.
-        one_class: all parts are one class, `part`: where is something, not what is it.
-        min_visibility: an instance of which a smaller share is visible is ignored.
-        patience: validations after a first score without a better one that end the training.
-        split: which scenes train, validate and test; exports have their own.
-        augmentation: the random augmentation of every epoch.
-        weights: a file of published weights to start from.
+        model, backbone: name of the network, one of `networks.MODELS`, and of its backbone.
+        input, longest_px: kind of the network's input, and its longer side.
+        holes, relief, range_m: fields of the encoding; if the range is None, it is measured.
+        epochs: number of passes over all pictures.
+        batch, learning_rate: number of pictures in a step, and highest learning rate.
+        seed: seed for the initial weights, the order of pictures, and the augmentation.
+        one_class: whether all parts are one class, `part`, so that their kind is ignored.
+        min_visibility: smallest visible share of an instance that is not ignored.
+        patience: number of consecutive validations without a better score that end the training.
+        split: division of scenes into train, val and test; exports have their own division.
+        augmentation: random augmentation of the pictures in every epoch.
+        weights: file of weights with which the training starts.
         device: `auto`, `cpu` or `cuda`.
-        workers: processes that read; 0 reads in the training's own.
+        workers: number of processes that read pictures; with 0, the training reads them itself.
     """
 
     model: str = "mask-rcnn"
@@ -113,17 +113,17 @@ def train(
     """Train a detector on datasets, or continue a training that was stopped.
 
     Args:
-        datasets: folders that `open_examples` reads; classes are their parts' names.
-        out: the run's folder: new, empty, or one in which the same training was stopped.
-        network: the class of a network of your own, in place of `spec.model`.
-        progress: counts the pictures that are read, the steps, and the pictures of a validation.
-        on_row: takes the history of each epoch that has ended, a result.
+        datasets: folders that `open_examples` reads; the classes are the names of their parts.
+        out: folder of the training: new, empty, or with the same training, which was stopped.
+        network: class of the user's own network, instead of `spec.model`.
+        progress: meter that counts read pictures, steps, and validated pictures.
+        on_row: receives the row of the history after each epoch.
 
     Returns:
-        The detector of the best validation, which is also `out/detector.pt`.
+        The detector with the best validation score, which is also `out/detector.pt`.
 
     Raises:
-        GraycastError: datasets, settings and folder do not fit together, the loss is no number,
+        GraycastError: datasets, settings and folder do not fit together, the loss is not a number,
             or the disk is full.
     """
     device = choose_device(spec.device)
@@ -165,7 +165,7 @@ def train(
 
 
 def _settings(spec: TrainSpec) -> dict[str, Any]:
-    """Return the settings that the weights depend on, without device and reading processes."""
+    """Return the settings that affect the weights, without the device and reading processes."""
     settings = claimed_options(spec, without=("device", "workers", "weights"))
     if spec.weights is None:
         return settings | {"weights": None}
@@ -173,7 +173,7 @@ def _settings(spec: TrainSpec) -> dict[str, Any]:
 
 
 def _file_sum(path: Path) -> str:
-    """Return the SHA-256 of a file of weights, which may be too large for the memory."""
+    """Return the SHA-256 of a file of weights, which may be larger than the memory."""
     if not path.is_file():
         raise GraycastError(f"{path}: does not exist: give a file of weights")
     with path.open("rb") as file:
@@ -196,9 +196,9 @@ def _encoding(sets: Sequence[Examples], spec: TrainSpec) -> Encoding:
 
 
 def _range_m(sets: Sequence[Examples], probe: Encoding) -> tuple[float, float]:
-    """The working volume: the span of depth in up to 20 scenes of each set, a little more, in cm.
+    """Return the range of depth in up to 20 scenes of each set, with a margin, in whole cm.
 
-    One pixel in a thousand may lie beyond either end: a scanner's spikes say nothing of a cell.
+    One pixel in a thousand at each end is ignored, because it may be a spike.
     """
     ends = []
     for examples in sets:
@@ -219,7 +219,7 @@ def _range_m(sets: Sequence[Examples], probe: Encoding) -> tuple[float, float]:
 
 @final
 class _Training:
-    """The training loop; resumed, it draws the same random numbers (by epoch, picture, step)."""
+    """The training loop. A resumed training has the same random numbers as one without a stop."""
 
     def __init__(
         self,
@@ -229,7 +229,7 @@ class _Training:
         sets: Sequence[Examples],
         meter: ProgressMeter,
     ) -> None:
-        """Start a training, or resume the one in the folder."""
+        """Start a training, or resume the training in the folder."""
         self.spec, self.detector, self.run, self.sets, self.meter = spec, detector, run, sets, meter
         self.network = detector.network
         recipe, count = self.network.recipe, sum(map(len, sets))
@@ -245,7 +245,7 @@ class _Training:
         return done >= self.spec.epochs * self.steps or since >= self.spec.patience
 
     def go(self, val_sets: Sequence[Examples], on_row: Callable[[Row], None]) -> None:
-        """Train until the end."""
+        """Train until the last epoch, or until validations no longer improve."""
         progress, epochs = self.progress, self.spec.epochs
         pictures, validation = self._pictures(), _Validation.of(val_sets, self)
         every = max(1, epochs // 25)
@@ -323,7 +323,7 @@ class _Training:
         )
 
     def _compare(self, figures: Row) -> None:
-        """Keep the weights if their validation is the best so far."""
+        """Save the weights if their validation score is the best so far."""
         progress = self.progress
         figure = np.mean([value for name, value in figures.items() if name.endswith("_ap")])
         if figure > progress.best or progress.best <= 0:  # Before any detection, keep the latest.
@@ -340,7 +340,7 @@ class _Training:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Validation:
-    """The validation set, encoded once; scenes and classes of all datasets in one numbering."""
+    """The encoded validation set, with scenes and classes of all datasets numbered together."""
 
     encoded: np.ndarray
     labels: tuple[Labels, ...]
@@ -383,7 +383,7 @@ class _Validation:
 def _optimizer(
     network: torch.nn.Module, learning_rate: float, weight_decay: float
 ) -> torch.optim.Optimizer:
-    """Return AdamW with decay of matrices and kernels, but not of biases and norms."""
+    """Return AdamW with weight decay for matrices and kernels, but not for biases and norms."""
     weights = [p for p in network.parameters() if p.requires_grad]
     groups = [
         {"params": [p for p in weights if p.ndim > 1], "weight_decay": weight_decay},
@@ -393,7 +393,7 @@ def _optimizer(
 
 
 def _shape(done: float) -> float:
-    """The learning rate over its highest: a straight rise, then half a cosine down to 1 %."""
+    """Return the share of the highest learning rate: linear warm-up, then half a cosine to 1 %."""
     if done < _WARM_UP_SHARE:
         return max(1e-3, done / _WARM_UP_SHARE)
     falling = (done - _WARM_UP_SHARE) / (1 - _WARM_UP_SHARE)

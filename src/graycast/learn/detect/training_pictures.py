@@ -1,4 +1,4 @@
-"""Labelled pictures for training: encoded once, kept as the network takes them, augmented."""
+"""Labelled pictures for training, which are encoded once and augmented in each epoch."""
 
 import os
 import shutil
@@ -30,12 +30,12 @@ class Augmentation:
     """The random augmentation of each picture in each epoch, without rotation and mosaic.
 
     Attributes:
-        flip: mirrored left to right and top to bottom, each in half of the pictures. A flip turns
-            the scanner's shadows to the other side.
-        zoom: scaled by up to this factor, up or down, about a random place; what leaves the input
-            is cropped.
-        brightness: colour is multiplied by up to this factor, up or down.
-        depth_shift: depth moves by up to this share of the working volume.
+        flip: whether half of the pictures are mirrored left to right, and half top to bottom. This
+            also moves the scanner's shadows to the other side.
+        zoom: largest factor by which pictures are enlarged or reduced about a random point; pixels
+            outside the input are cropped.
+        brightness: largest factor by which colours are multiplied or divided.
+        depth_shift: largest shift of the depth, as a share of the working volume.
     """
 
     flip: bool = True
@@ -67,10 +67,10 @@ class _Labelled:
 
 @final
 class TrainingPictures(torch.utils.data.Dataset):
-    """Pictures and labels of one set as tensors, the same for the same seed, epoch and index.
+    """Pictures and labels of one set as tensors, which depend on seed, epoch and index only.
 
-    They are encoded once, into a file beside the run, so that an epoch reads what the network
-    takes. Masks and boxes are in memory. Processes of a loader may share it.
+    Pictures are encoded once into a file, from which each epoch reads them. Masks and boxes are in
+    memory. Several processes of a loader may share the set.
     """
 
     def __init__(
@@ -88,15 +88,15 @@ class TrainingPictures(torch.utils.data.Dataset):
         """Read and encode every picture.
 
         Args:
-            examples: sets, each with the class of each of its object ids.
+            examples: pairs of a set and the class of each of its object ids.
             file: the file of the encoded pictures, which is overwritten.
-            masks: whether targets have masks.
-            min_visibility: an instance of which a smaller share is visible is ignored.
-            progress: counts the pictures.
+            masks: whether the targets need masks.
+            min_visibility: smallest visible share of an instance that is not ignored.
+            progress: meter that counts the pictures.
 
         Raises:
-            GraycastError: a picture lacks what the encoding or the labels need, or the disk
-                cannot hold the file.
+            GraycastError: a picture lacks data for the encoding or the labels, or the disk has no
+                room for the file.
         """
         self.encoding, self.seed, self.augmentation = encoding, seed, augmentation
         self.file = file
@@ -135,23 +135,23 @@ class TrainingPictures(torch.utils.data.Dataset):
         )
 
     def at(self, epoch: int) -> "TrainingPictures":
-        """Select the epoch whose augmentation is drawn, and return the set itself."""
+        """Set the epoch, which changes the augmentation, and return the set itself."""
         self.epoch = epoch
         return self
 
 
 def collate(items: Sequence[tuple[Tensor, Target]]) -> tuple[Tensor, list[Target]]:
-    """Return one tensor of pictures, and a list of labels, since numbers of parts differ."""
+    """Return a tensor of pictures and a list of targets, whose numbers of parts may differ."""
     return torch.stack([image for image, _ in items]), [target for _, target in items]
 
 
 def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
-    """Return a new file of encoded pictures, mapped into memory.
+    """Create a file for encoded pictures and return it as a memory map.
 
-    Its space is allocated at once, because a full disk would later crash the process.
+    The space is allocated at once, because a full disk would later crash the process.
 
     Raises:
-        GraycastError: the disk has no room for it.
+        GraycastError: the disk has no room for the file.
     """
     needed = 2 * int(np.prod(shape))
     free = shutil.disk_usage(file.parent).free
@@ -221,7 +221,7 @@ def _augmented(
     how: Augmentation,
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, "c h w"], _Labelled]:
-    """Return one random augmentation. The numbers drawn do not depend on the picture."""
+    """Return a random augmentation, whose random numbers do not depend on the picture."""
     flip_x, flip_y = rng.random(2) < 0.5
     zoom = how.zoom ** rng.uniform(-1, 1)
     at_x, at_y = rng.random(2)
@@ -248,7 +248,7 @@ def _augmented(
 def _toned(
     image: Float32[np.ndarray, "c h w"], encoding: Encoding, gain: np.float32, shift: np.float32
 ) -> Float32[np.ndarray, "c h w"]:
-    """Make colour brighter or darker, and depth nearer or farther; holes stay holes."""
+    """Multiply colour by `gain` and add `shift` to depth; missing depth remains missing."""
     if encoding.coloured and gain != 1:
         black = BLACK[:, None, None]
         image[:3] = black + (image[:3] - black) * gain
@@ -262,7 +262,7 @@ def _toned(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Move:
-    """New edges = scale * edges + offset, in x and y; pixel centres lie half a pixel further."""
+    """A motion in x and y: new = scale * old + offset for edges (pixel centres are at + 0.5)."""
 
     scale: tuple[float, float]
     offset_px: tuple[float, float]
@@ -281,7 +281,7 @@ class _Move:
         return np.stack([self._warped(layer, cv2.INTER_LINEAR) for layer in image])
 
     def labels(self, labels: _Labelled) -> _Labelled:
-        """Return the labels inside the crop; instances cut to less than a third are ignored."""
+        """Return the moved labels inside the input; instances cut to under a third are ignored."""
         (sx, sy), (ox, oy) = self.scale, self.offset_px
         x = np.sort(labels.box[:, 0::2] * sx + ox, axis=1)
         y = np.sort(labels.box[:, 1::2] * sy + oy, axis=1)

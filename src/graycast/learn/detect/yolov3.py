@@ -1,9 +1,9 @@
-"""YOLOv3: boxes by regression from anchors on three scales.
+"""YOLOv3: boxes by regression from anchors at three scales.
 
-Source: Redmon & Farhadi, "YOLOv3: An Incremental Improvement", 2018. What the paper leaves open
-(which anchors are negative, weights of the terms) is as in mmdetection 3.3: equal weights give
-equal losses and boxes, which a slow test shows. Two things differ on purpose: the losses are a mean
-over the pictures of the batch where mmdetection adds them up, and boxes end at the picture's edge.
+Source: Redmon & Farhadi, "YOLOv3: An Incremental Improvement", 2018. Details that the paper does
+not state (negative anchors, weights of the terms) are as in mmdetection 3.3: a slow test shows that
+equal weights give equal losses and boxes. Two differences are intended: losses are means over the
+pictures of a batch, where mmdetection has sums, and boxes end at the picture's edge.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ LEAST_SHARE = 1e-6  # least share of a cell or an anchor, because zero has no lo
 
 @final
 class Yolov3(Network):
-    """Finds boxes. Backbones: the wide ones carry the paper's neck, the small ones 96 channels."""
+    """A network that finds boxes, with the paper's neck for wide backbones, else a narrow one."""
 
     finds_masks = False
     recipe = Recipe(learning_rate=1e-3, batch=8, weight_decay=0.01)
@@ -63,7 +63,7 @@ class Yolov3(Network):
                 end.last.bias.view(-1, 5 + classes)[:, 4] = -4.6
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b anchors values"]:
-        """Raw answer of every anchor: centre (logits), size (logarithms), objectness, classes."""
+        """Return each anchor's raw output: centre (logits), log of size, objectness, classes."""
         maps = self.neck(self.body(image)[:0:-1])
         answers = [end(m) for end, m in zip(self.ends, maps, strict=True)]
         values = 5 + self.classes
@@ -73,7 +73,7 @@ class Yolov3(Network):
     def losses(
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
-        """Terms of the loss, each the mean over pictures."""
+        """Return the terms of the loss, each as the mean over the pictures."""
         raw = self(image)
         anchor, stride = self._anchors(image)
         terms = [_terms(r, anchor, stride, t) for r, t in zip(raw, targets, strict=True)]
@@ -83,7 +83,7 @@ class Yolov3(Network):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Return boxes of all scales, each once."""
+        """Return boxes of all scales after non-maximum suppression."""
         raw = self(image)
         anchor, stride = self._anchors(image)
         height, width = image.shape[-2:]
@@ -101,7 +101,7 @@ class Yolov3(Network):
     def _anchors(
         self, image: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "anchors 4"], Float[Tensor, " anchors"]]:
-        """Return every anchor as a box, and the side of its cell, in the order of `forward`."""
+        """Return the anchors as boxes, and the sides of their cells, in the order of `forward`."""
         boxes, strides = [], []
         for stride, size in zip(STRIDES, self.anchor_px, strict=True):
             rows, columns = (
@@ -118,7 +118,7 @@ class Yolov3(Network):
 
 @final
 class _Neck(nn.Module):
-    """Feature pyramid from the coarsest map down: each map is upsampled and joined to the next."""
+    """A feature pyramid from the coarsest map down; each map is upsampled and joined to a finer."""
 
     def __init__(self, inside: tuple[int, ...], widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -137,7 +137,7 @@ class _Neck(nn.Module):
 
 
 def _block(inside: int, width: int) -> nn.Sequential:
-    """Five convolutions, narrow and wide in turn."""
+    """Return five convolutions, which are narrow and wide in turn."""
     return nn.Sequential(
         Convolution(inside, width, 1),
         Convolution(width, 2 * width, 3),
@@ -164,7 +164,7 @@ def _terms(
     stride: Float[Tensor, " anchors"],
     target: Target,
 ) -> dict[str, Tensor]:
-    """The loss of one picture; an anchor that is neither positive nor negative is in no term."""
+    """Return the loss terms of one picture; anchors neither positive nor negative do not count."""
     owner, negative = assign(anchor, stride, target)
     positive = owner >= 0
     mine, box = raw[positive], target.box[owner[positive]]
@@ -186,14 +186,14 @@ def _cross_entropy(logit: Float[Tensor, "..."], truth: Float[Tensor, "..."]) -> 
 def assign(
     anchor: Float[Tensor, "anchors 4"], stride: Float[Tensor, " anchors"], target: Target
 ) -> tuple[Int64[Tensor, " anchors"], Bool[Tensor, " anchors"]]:
-    """Assign anchors to instances, and find the negative anchors.
+    """Assign anchors to instances, and determine the negative anchors.
 
-    An instance owns the anchors of the cell of its centre that overlap it by more than `OVERLAP`,
-    and in any case the best of them. An ignored instance owns none, but what it would own, and
-    what overlaps it by more than `OVERLAP`, is not negative.
+    An instance owns the anchors in the cell of its centre whose overlap with it exceeds `OVERLAP`,
+    and always the anchor with the largest overlap. An ignored instance owns none, but the anchors
+    that it would own, and those whose overlap exceeds `OVERLAP`, are not negative.
 
     Returns:
-        Index into the target's instances, -1 for none; and whether the anchor is a negative.
+        The index of each anchor's instance, -1 for none; and whether each anchor is negative.
     """
     overlap = box_iou(anchor, target.box)
     centre = (target.box[:, :2] + target.box[:, 2:]) / 2
@@ -211,7 +211,7 @@ def _owners(
     at_centre: Bool[Tensor, "anchors n"],
     kind: Bool[Tensor, " n"],
 ) -> Int64[Tensor, " anchors"]:
-    """Index of the instance of that kind that owns each anchor, -1 for none; the later one wins."""
+    """Return the index of each anchor's owner of a kind, -1 for none; of two, the later one."""
     nobody = torch.full((len(overlap),), -1, device=overlap.device)
     if not kind.any():
         return nobody
@@ -228,7 +228,7 @@ def _owners(
 def _encode(
     box: Float[Tensor, "n 4"], anchor: Float[Tensor, "n 4"], stride: Float[Tensor, " n"]
 ) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2"]]:
-    """Return the box centre's place in its cell, from 0 to 1, and the logarithm of its growth."""
+    """Return each centre's position in its cell, from 0 to 1, and the log of the size ratio."""
     away = (box[:, :2] + box[:, 2:] - anchor[:, :2] - anchor[:, 2:]) / 2
     centre = (away / stride[:, None] + 0.5).clamp(LEAST_SHARE, 1 - LEAST_SHARE)
     growth = (box[:, 2:] - box[:, :2]) / (anchor[:, 2:] - anchor[:, :2])
@@ -238,7 +238,7 @@ def _encode(
 def _decode(
     raw: Float[Tensor, "n values"], anchor: Float[Tensor, "n 4"], stride: Float[Tensor, " n"]
 ) -> Float[Tensor, "n 4"]:
-    """Return boxes in pixels: `_encode` backwards."""
+    """Return boxes in pixels; this is the inverse of `_encode`."""
     away = (raw[:, :2].sigmoid() - 0.5) * stride[:, None]
     centre = (anchor[:, :2] + anchor[:, 2:]) / 2 + away
     half = (anchor[:, 2:] - anchor[:, :2]) / 2 * raw[:, 2:4].clamp(max=MOST_LOG_GROWTH).exp()

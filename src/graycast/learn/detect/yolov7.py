@@ -1,8 +1,8 @@
-"""YOLOv7: boxes, by the network and the loss of libreyolo (MIT).
+"""YOLOv7: boxes by the network and the loss of libreyolo (MIT).
 
-Its network is the authors' own release under the MIT licence (MultimediaTechLab/YOLO), its loss is
-YOLOX's (Apache-2.0); the original yolov7 repository, which is GPL, is in neither. Ours here: any
-number of channels, anchors that follow the size of the picture, and what ignored instances mean.
+The network of libreyolo is from the authors' MIT release (MultimediaTechLab/YOLO), and its loss is
+from YOLOX (Apache-2.0); neither uses the original yolov7 repository, which is GPL. Graycast adds
+any number of channels, anchors that scale with the picture, and ignored instances.
 
 Source: Wang, Bochkovskiy & Liao, "YOLOv7: Trainable bag-of-freebies sets new state-of-the-art for
 real-time object detectors", CVPR 2023; assignment: Ge et al., "YOLOX", 2021 (SimOTA).
@@ -30,7 +30,7 @@ SILENT = -100.0
 
 @final
 class Yolov7(Network):
-    """Finds boxes. It has one backbone, its own."""
+    """A network that finds boxes. It has only its own backbone."""
 
     finds_masks = False
     recipe = Recipe(learning_rate=1e-3, batch=8, weight_decay=0.01)
@@ -70,13 +70,13 @@ class Yolov7(Network):
         self._decode = decode_v7_head
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> list[Tensor]:
-        """Return the library's raw maps, from the finest to the coarsest."""
+        """Return the library's raw output maps, from the finest to the coarsest."""
         return self.network(image)
 
     def losses(
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
-        """Terms of the library's loss, per anchor that owns an instance."""
+        """Return the terms of the library's loss, per anchor that owns an instance."""
         maps = [
             self._without_ignored(m, targets, stride)
             for m, stride in zip(self(image), self.strides, strict=True)
@@ -92,7 +92,7 @@ class Yolov7(Network):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[NetworkOutput]:
-        """Return boxes of all scales, each once and with its best class alone."""
+        """Return boxes of all scales after suppression, each with its best class only."""
         maps = self(image)
         height, width = image.shape[-2:]
         limit = image.new_tensor([width, height, width, height], dtype=torch.float32)
@@ -125,7 +125,7 @@ class Yolov7(Network):
     def _without_ignored(
         self, raw: Float[Tensor, "b values h w"], targets: Sequence[Target], stride: int
     ) -> Float[Tensor, "b values h w"]:
-        """The same map, where cells that only an ignored instance could own claim nothing."""
+        """Return the map without objectness in cells that only an ignored instance could own."""
         free = torch.stack([_only_ignored(t, stride, raw.shape[-2:]) for t in targets])
         if not free.any():
             return raw
@@ -134,7 +134,7 @@ class Yolov7(Network):
 
 
 def _only_ignored(target: Target, stride: int, size: tuple[int, int]) -> Bool[Tensor, "h w"]:
-    """Cells within reach of an ignored instance and of no other."""
+    """Return a mask of the cells within reach of ignored instances only."""
     row, column = ((torch.arange(n, device=target.box.device) + 0.5) * stride for n in size)
     centre = (target.box[:, :2] + target.box[:, 2:]) / 2
     near = [
@@ -145,7 +145,7 @@ def _only_ignored(target: Target, stride: int, size: tuple[int, int]) -> Bool[Te
 
 
 def _padded(targets: Sequence[Target], image: Tensor) -> Float[Tensor, "b n 5"]:
-    """Class, centre and size of what counts, filled up with zeros: the library's labels."""
+    """Return the library's labels: class, centre and size of counted instances, padded with 0."""
     longest = max([int((~t.ignored).sum()) for t in targets], default=0)
     rows = image.new_zeros(len(targets), max(longest, 1), 5, dtype=torch.float32)
     for row, target in zip(rows, targets, strict=True):

@@ -1,4 +1,4 @@
-"""Studies: models x inputs x training sets x worlds x seeds, run by run, into one table."""
+"""Studies: runs over models x inputs x training sets x test sets x seeds, and one table."""
 
 from ..study_file import StudySpec, read_study
 from .study_runs import Result, StudyRun, run_study, runs_of

@@ -1,4 +1,4 @@
-"""Runs of a study: each trained once, scored in every world, and kept on disk."""
+"""Runs of a study: each is trained once, scored on all test sets, and kept on disk."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -49,15 +49,15 @@ class StudyRun:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Result:
-    """A run's figures by world and kind, one for each of the world's datasets."""
+    """A run's scores for each test set ("world") and kind of shape, one per dataset."""
 
     run: StudyRun
     figures: dict[tuple[str, str], tuple[BootstrapFigure, ...]]
 
     def of(self, world: str, kind: str, number: int | None = None) -> BootstrapFigure | None:
-        """Return the figure of a world's dataset `number`, or else the mean over all.
+        """Return the score on dataset `number` of a world; without a number, the mean over all.
 
-        None where the run or the world has no masks, or the world no such dataset.
+        The result is None if the run or the world has no masks, or if there is no such dataset.
         """
         figures = self.figures.get((world, kind))
         if figures is None or number is None:
@@ -66,7 +66,7 @@ class Result:
 
 
 def runs_of(spec: StudySpec) -> Iterator[StudyRun]:
-    """Yield all combinations; colour has no encodings to choose from, so it comes once."""
+    """Yield all combinations; the input rgb has no encodings of depth, so it comes once."""
     for training, model, input_name, encoding in product(
         spec.training, spec.models, spec.inputs, spec.encodings
     ):
@@ -86,16 +86,16 @@ def run_study(
     progress: ProgressMeter = UNWATCHED,
     on_done: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
-    """Train and score the runs that are not done yet.
+    """Train and score all runs, and reuse finished trainings and detections.
 
     Args:
-        out: each run has a folder in `out/runs`; the same study goes on in it.
-        progress: counts runs, names the present one, and counts what `train` does.
-        on_done: takes each run's result.
+        out: folder of the study, with a folder for each run in `out/runs`; it can be continued.
+        progress: meter that counts runs, shows the current run, and counts as in `train`.
+        on_done: receives each run's result.
 
     Raises:
-        GraycastError: a dataset is missing or lacks what the runs ask of it, which is said before
-            the first training; or a run cannot be trained.
+        GraycastError: a dataset is missing or lacks data for the runs (checked before the first
+            training), or a run cannot be trained.
     """
     worlds = {name: _world(spec, section) for name, section in spec.tests.items()}
     for datasets in spec.training.values():
@@ -153,7 +153,7 @@ def _trained(
 def _detections(
     detector: Detector, dataset: Path, world: TestSection, folder: Path
 ) -> list[Detections]:
-    """Return the detections of the detector next to a folder; detect again if anything changed."""
+    """Return stored detections from a folder; detect again if the inputs have changed."""
     pictures = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
@@ -169,7 +169,7 @@ def _detections(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _World:
-    """Labels of a world's datasets, and the kinds of shapes that can be compared there."""
+    """The labels of a world's datasets, and the kinds of shapes that have labels."""
 
     labels: tuple[tuple[Labels, ...], ...]
     kinds: tuple[Kind, ...]
@@ -193,7 +193,7 @@ def _world(spec: StudySpec, section: TestSection) -> _World:
 
 
 def _check_training(spec: StudySpec, datasets: Sequence[Path]) -> None:
-    """Check that the training sets hold what the study's inputs and models need."""
+    """Check that the training sets have the data for the study's inputs and models."""
     for dataset in datasets:
         sets, _ = sets_of(dataset, "train", spec.division)
         first = next(chain.from_iterable(sets), None)

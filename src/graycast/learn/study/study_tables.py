@@ -1,4 +1,4 @@
-"""A study's figures as tables for readers, spreadsheets and papers, and as a picture."""
+"""A study's scores as tables for readers, spreadsheets and papers, and as a plot."""
 
 import math
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ _ALL = "all"  # name of the mean over the datasets of a world
 def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
     """Write `table.md`, `table.csv`, `table.tex`, `study.json` and `gaps.png` to `out`.
 
-    Where worlds have several datasets, `table.csv` and `study.json` have each by itself as well.
+    If worlds have several datasets, all tables except `table.tex` also have each dataset's scores.
     """
     means = [row for result in results for row in _rows(spec, result)]
     parts = [
@@ -46,9 +46,9 @@ def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
 
 
 def _datasets(spec: StudySpec) -> list[str]:
-    """Return names of the worlds' datasets by their place, where a world has more than one.
+    """Return the names of the datasets in a world by index; empty if there is only one.
 
-    Datasets of one place in two worlds are of the same parts; the gap's own world names them.
+    Datasets with the same index in two worlds have the same parts, so one world gives the names.
     """
     first = spec.gap[0] if spec.gap is not None else next(iter(spec.tests))
     named = spec.tests[first].datasets
@@ -56,7 +56,7 @@ def _datasets(spec: StudySpec) -> list[str]:
 
 
 def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = None) -> list[Row]:
-    """Return one row for boxes and one for masks, with a value and interval for each world."""
+    """Return a row for boxes and a row for masks, with score and interval for each world."""
     rows = []
     run = result.run
     number, name = dataset if dataset is not None else (None, _ALL)
@@ -94,12 +94,12 @@ def _interval_text(row: Row, name: str) -> str:
 
 
 def _ends(name: str) -> tuple[str, str, str]:
-    """Return the columns of a value and of both ends of its interval."""
+    """Return the names of the columns for a value and for both ends of its interval."""
     return name, f"{name}_low", f"{name}_high"
 
 
 def _keys(rows: Sequence[Row]) -> list[str]:
-    """Return the keys that differ between rows; the model and the input always."""
+    """Return the keys that differ between rows, and always model, input and kind."""
     return [
         key
         for key in _KEYS
@@ -117,7 +117,7 @@ def _markdown(spec: StudySpec, means: Sequence[Row], parts: Sequence[Row]) -> st
 
 
 def _table(spec: StudySpec, rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
-    """Return the heads of the columns, and the cells of each row."""
+    """Return the column headings, and the cells of each row."""
     keys, columns = _keys(rows), [*spec.tests, *(["gap"] if spec.gap is not None else [])]
     cells = [
         [*(str(row[key]) for key in keys), *(_interval_text(row, name) for name in columns)]
@@ -150,7 +150,7 @@ def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:
 
 
 def _draw(spec: StudySpec, rows: Sequence[Row], path: Path) -> None:
-    """Draw a bar for each world in each row, with its interval."""
+    """Plot a bar with an interval for each world in each row."""
     figure, (ax,) = plain_figure(9.0, 1.3 + 0.34 * len(rows), (1,), grid="x")
     height = 0.8 / len(spec.tests)
     for number, (world, ink) in enumerate(

@@ -1,4 +1,4 @@
-"""A grip: the pose of a tool on a part, and the directions in which it may lean."""
+"""A grip, which is the pose of a tool on a part, and the directions in which a tool may lean."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -42,7 +42,7 @@ class Patch:
 
     @property
     def node_m(self) -> Float[np.ndarray, "n n 2"]:
-        """x and y of each node."""
+        """x and y coordinates of each node."""
         n = len(self.height_m) // 2
         y, x = np.mgrid[-n : n + 1, -n : n + 1] * self.step_m
         return np.stack([x, y], axis=-1)

@@ -35,7 +35,7 @@ _LOCK = ".lock"
 
 
 def episode_files(episode: Episode) -> tuple[tuple[str, bytes], ...]:
-    """Return the files of a bin: each one's path inside the bin's folder, and its content."""
+    """Return the path (inside the bin's folder) and the content of each file of a bin."""
     attempts = episode.attempts
     record = {
         "bin_id": episode.bin_id,
@@ -102,7 +102,7 @@ def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
     """Make a folder of picks, or open it again to continue the same cell and seed.
 
     Raises:
-        DatasetError: the folder has picks of another cell, has other files, or is in use.
+        DatasetError: the folder has another cell's picks or other files, or is in use.
     """
     base = cell.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})

@@ -88,7 +88,7 @@ def pick(
         The ids of the bins that could not be made.
 
     Raises:
-        DatasetError: the folder has picks of another cell, is in use, or cannot be written.
+        DatasetError: the folder has another cell's picks, is in use, or cannot be written.
         DeviceError: this machine does not have the device.
         GraycastError, ValueError: no bin could be made; the error names the reason.
     """

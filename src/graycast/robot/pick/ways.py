@@ -111,7 +111,7 @@ class WaySearch:
     def ways(
         self, q: Joints, T_world_tip: Float[np.ndarray, "4 4"], *, round_tool: bool
     ) -> Ways | Blocked:
-        """Return paths from joint angles to a grip and away with the part, or why there are none.
+        """Return paths from joint angles to a grip and away with the part, or why none exist.
 
         For a round tool, any rotation about its axis is possible; for others, only half a turn.
         """

@@ -19,7 +19,7 @@ class Facets(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Fields of a detection's `Crop` that compiled code needs; `lens` is the camera's."""
+    """The data of a detection's `Crop` for compiled code; `lens` has the camera's numbers."""
 
     lens: Float[np.ndarray, "9"]
     ray: Float[np.ndarray, "h w 2"]

@@ -66,7 +66,7 @@ class Trials:
         return moved
 
     def placed(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
-        """Return the pose shifted to the detection's place and depth; None if it covers too little.
+        """Return the pose moved to the detection's position and depth; None if too few pixels fit.
 
         The shift is made twice, because a shift along the ray changes the covered pixels.
         """

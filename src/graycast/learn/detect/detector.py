@@ -241,7 +241,7 @@ def load_detector(
     """Load a detector from its file or from the folder of its training.
 
     Args:
-        network: the class that was passed to `train`, for a network of your own.
+        network: class of the user's own network, as passed to `train`.
 
     Raises:
         GraycastError: the file is missing, damaged, or not a detector of Graycast.

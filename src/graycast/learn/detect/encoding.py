@@ -36,10 +36,9 @@ class Encoding:
     Colour is sRGB, normalized by the mean and deviation of photographs. Depth is metric, from -1 at
     `near_m` to 1 at `far_m`, and clipped. If `holes` is `channel`, depth is multiplied by the share
     of the pixel with known depth, and this share is a channel; `zero` and `far` encode missing
-    depth as the near or far end. `relief` adds a channel: the height above the mean nearby. A
-    picture is scaled to fit `size_px` and is put in its top-left corner; other pixels are 0.
+    depth as the near or far end. `relief` adds a channel with the height above the mean nearby.
 
-    A picture is scaled to fit into `size_px` and lies in its top-left corner; what remains is 0.
+    A picture is scaled to fit into `size_px` and is put in its top-left corner; the rest is 0.
 
     Attributes:
         input: `rgb`; `depth`, perfect depth; `depth_sl`, scanner depth; `depth_noisy`, perfect

@@ -80,7 +80,7 @@ class Network(nn.Module):
     The input, made by `encoding.Encoding`, is `(b, channels, h, w)` float; h and w are multiples of
     32. All random choices use torch's global generator, which the training loop seeds.
 
-    A constructor gives random weights by torch's global generator, and has these arguments:
+    The constructor draws random weights from torch's global generator and has these arguments:
 
         channels: number of channels of the input.
         classes: number of classes of parts; the background is not a class.

@@ -149,7 +149,7 @@ class RunFolder:
     def resume(self, network: torch.nn.Module, optimizer: Any) -> Progress:
         """Load the last checkpoint into network and optimizer, if any; return the progress.
 
-        The history is written again, because it lacks its last row after a kill at that moment.
+        The history is written again, because a kill after the checkpoint may lose its last row.
 
         Raises:
             GraycastError: the checkpoint is damaged.

@@ -262,7 +262,7 @@ def _peaks(score: Float[Tensor, "cells classes"]) -> Float[Tensor, "cells classe
 
 
 def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """Return the factor by which Matrix NMS lowers each mask's score; the masks are sorted.
+    """Return the factor by which Matrix NMS lowers each score; the masks are sorted, best first.
 
     This is the paper's equation 5 (Gaussian): the minimum over better masks i of its class of
     exp(-s iou_ij^2) / exp(-s worst_i^2), where worst_i is i's largest overlap with a better mask.

@@ -80,7 +80,7 @@ class PadContact(NamedTuple):
 
     @property
     def on_pads(self) -> bool:
-        """Whether both pads touch the part, because they can be pressed in by `ahead_m`."""
+        """Whether both pads touch the part: the pads can be pressed in by at least `ahead_m`."""
         return self.ahead_m <= PAD_GIVES_M
 
 
@@ -89,7 +89,7 @@ def jaw_load_factor(
 ) -> Float[np.ndarray, " k"]:
     """Return the safety factor of a load between two pads with friction; below 1 the part slips.
 
-    Across their axis, both pads together hold a force of 2 friction force. About the axis, they
+    Across their axis, both pads together hold a force of 2 friction force. About this axis, they
     hold the moment of two discs of even pressure, 2 friction force (2/3 r). The pads' normal forces
     hold moments about other axes; these are not checked, because fingers are stiff compared with
     a part's weight. The drive holds forces along the axis.

@@ -21,7 +21,7 @@ class Doubt:
     """The uncertainties of a grip as standard deviations of normal distributions.
 
     `position_m` and `angle_rad` describe the tool's pose on the part, with the errors of
-    calibration, robot and part pose. `friction_share` is relative; `center_m` is along each axis.
+    calibration, robot and part. `friction_share` is relative, and `center_m` is for each axis.
     """
 
     position_m: float = 1e-3
@@ -44,7 +44,7 @@ def robustness(
 ) -> float:
     """Return the share of random trials in which the cup seals and holds, the minimum over burdens.
 
-    The first trial is the planned grip. Larger errors than three standard deviations are reduced to
+    The first trial is the planned grip. Errors beyond three standard deviations are reduced to
     three, so that a patch with the radius `patch_radius_m` is large enough.
     """
     # Callers use the same seed for the places, so this uses another stream.

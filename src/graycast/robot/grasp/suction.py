@@ -188,7 +188,7 @@ def load_factor(
         friction: coefficient of friction of each load; by default, the cup's.
 
     Returns:
-        The largest factor by which each load may grow within the three limits; infinity if any may.
+        The factor of each load at which the first limit is reached; infinity if none is reached.
     """
     slide_n = np.sqrt(
         force_n[..., 0] ** 2 + force_n[..., 1] ** 2 + (moment_nm[..., 2] / cup.radius_m) ** 2

@@ -5,7 +5,6 @@ Without a model, the search follows Mahler et al., "Dex-Net 3.0", ICRA 2018, sec
 places in the mask, scores how reliably the cup seals and holds on the measured surface, and samples
 again near the best places (the cross-entropy method). Gaps in the depth are unknown surface, on
 which a cup does not seal.
-taken to seal.
 """
 
 from dataclasses import dataclass

@@ -16,7 +16,7 @@ from .stored_world import GraspWorld, Stock, make_world, read_heap, read_stock
 
 
 class SceneLabeller:
-    """A worker that labels the scenes of one task; the first scene starts the search for grips."""
+    """A worker that labels the scenes of one task; it searches for grips only once."""
 
     def __init__(self, task: "LabelTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._threads, self._progress = task, threads, progress

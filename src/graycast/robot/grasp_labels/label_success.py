@@ -20,7 +20,7 @@ BANDS = ((0.0, 0.0), (0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.999), (0.99
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Band:
-    """The number of grips with scores in a band, and how many of them held in the simulation."""
+    """The number of grips with scores in a band, and the number of these that held in physics."""
 
     low: float
     high: float

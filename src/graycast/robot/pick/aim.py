@@ -27,7 +27,7 @@ class Candidate:
     """A candidate part in the picture: its outline, a box [x, y, columns, rows], or both.
 
     `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true pose if
-    the settings ask for it.
+    the robot is to use this pose, otherwise None.
     """
 
     kind: int | None

@@ -210,7 +210,7 @@ def tool_touches(
 def _first_met(
     pieces: Iterable[tuple[Any, Float[np.ndarray, "4 4"], bool]], obstacles: Sequence[Obstacle]
 ) -> str | None:
-    """Return the first obstacle hit by a piece, which is (shape, pose, whether it is the base)."""
+    """Return the first obstacle that a piece (shape, pose, whether it is the base) hits."""
     import coal
 
     request, result = coal.CollisionRequest(), coal.CollisionResult()

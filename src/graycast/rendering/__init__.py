@@ -6,7 +6,7 @@ set Mitsuba's variant.
 Each module imports only from those above it:
 
     radiance       what a renderer returns, and the protocol `Renderer`
-    wavelength     the scene in light of the projector's wavelength
+    wavelength the scene in light with the projector's wavelength
     trial          a small picture, rendered in a process that a broken driver may crash
     bsdf           materials of Mitsuba
     denoise        denoising by Open Image Denoise

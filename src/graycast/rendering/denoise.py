@@ -22,7 +22,7 @@ Image = Float[np.ndarray, "h w 3"]
 def denoise(rgb: Image, albedo: Image, normal: Image, by: Denoiser) -> Image:
     """Denoise a linear colour picture of any scale with a renderer's denoiser.
 
-    Albedo and unit normal are those of the visible surface; normals are NaN without a surface.
+    Albedo and unit normal belong to the visible surface; normals are NaN without a surface.
     """
     guides = np.clip(albedo, 0, 1), np.nan_to_num(normal, nan=0.0)
     images = [np.ascontiguousarray(image, dtype=np.float32) for image in (rgb, *guides)]
@@ -66,9 +66,9 @@ def open_denoiser(device: str) -> Denoiser:
 
 
 def _library() -> Any:
-    """Import the module `pyoidn`, but prevent that it loads PyTorch if that is installed.
+    """Import the module `pyoidn`, but prevent it from loading PyTorch if PyTorch is installed.
 
-    Only NumPy arrays are used here, and PyTorch costs every process seconds and 200 MB.
+    Only NumPy arrays are used here, and loading PyTorch costs every process seconds and 200 MB.
     """
     hides = "torch" not in sys.modules
     if hides:
@@ -85,7 +85,7 @@ def _library() -> Any:
 class OpenImageDenoise:
     """Open Image Denoise on the processor, or on the first GPU that this process may use.
 
-    The network and its buffers are kept until a picture has another size.
+    The network and its buffers are kept until a picture has a different size.
 
     Raises:
         OSError: the library cannot be loaded.

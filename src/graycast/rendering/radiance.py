@@ -60,8 +60,8 @@ class PathNoise:
     """The error from a finite number of light paths, which is common to all patterns of a stack.
 
     Both arrays are standard deviations for columns and rows of the projector, in this order; they
-    are 0 without direct light. `place_sigma_px` is for the mean projector position of a pixel's
-    direct light, and `stray` for the stripes in indirect light, relative to those in direct light.
+    are 0 without direct light. `place_sigma_px` describes the mean projector position of a pixel's
+    direct light, and `stray` the stripes in indirect light, relative to stripes in direct light.
     """
 
     place_sigma_px: Float[np.ndarray, "2 h w"]
@@ -78,13 +78,13 @@ class Radiance:
     """Linear images of one scene before any sensor [W sr^-1 m^-2].
 
     For the measuring camera, behind its filter, `pattern[k]` is the light of projected pattern k,
-    `white` that of an all-white projector, and `ambient` all other light. For the colour picture,
-    `white_rgb` is the light of an all-white projector and `ambient_rgb` all other light, in each
-    band. Light is additive, so any picture is a sum of these.
+    `white` the light of an all-white projector, and `ambient` all other light. For the colour
+    picture, `white_rgb` is the light of an all-white projector and `ambient_rgb` all other light,
+    in each band. Light is additive, so any picture is a sum of these.
 
-    `white` is the sum of `white_rgb` over all bands, and `ambient` that of `ambient_rgb` over the
-    bands that the filter passes, unless a material has a `projector_reflectance`. `path_noise` is
-    None if the renderer does not estimate it.
+    `white` is the sum of `white_rgb` over all bands, and `ambient` the sum of `ambient_rgb` over
+    the bands that the filter passes, unless a material has a `projector_reflectance`. `path_noise`
+    is None if the renderer does not estimate it.
 
     `place_px` is the mean projector position (column, row) of a pixel's direct light [projector
     px], or NaN without such light. A renderer may use whole projector pixels, with an error of at
@@ -170,7 +170,7 @@ class Rendering:
 
 @runtime_checkable
 class Renderer(Protocol):
-    """Light transport and geometry only: no noise, no exposure, no files.
+    """A renderer of light transport and geometry only: no noise, no exposure, no files.
 
     An open renderer may own a process, so `close` it, or use it in a `with` statement. Back ends
     derive from this class, whose `close` serves those without resources. `denoiser` denoises a

@@ -1,4 +1,4 @@
-"""The scene in light of the projector's wavelength, as the measuring camera sees it."""
+"""The scene in light with the projector's wavelength, as the measuring camera sees the scene."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +12,7 @@ from ..world.scene import Bin, Scene
 def at_projector_wavelength(scene: Scene) -> Scene:
     """Return the scene with the grey `projector_reflectance` of each material that has one.
 
-    Without such a material the same scene is returned, so that it need not be rendered twice.
+    Without such a material the same scene is returned, so the scene need not be rendered twice.
     """
     if all(material.projector_reflectance is None for material in _materials(scene)):
         return scene
@@ -20,7 +20,7 @@ def at_projector_wavelength(scene: Scene) -> Scene:
 
 
 def at_one_wavelength(scene: Scene) -> Scene:
-    """Return the scene in grey, with the reflectance in the only band of the projector's light.
+    """Return the scene in grey, with each reflectance from the only band of the projector's light.
 
     Several bands are possible if every material is grey, because all bands are then equal.
 

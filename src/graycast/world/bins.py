@@ -37,8 +37,8 @@ _LEAST_DEPTH = 0.1  # A bin whose depth is a smaller share of its height is a pl
 class MeshBin:
     """A bin's mesh in the world: z up, the origin in the middle of the inner floor.
 
-    `inner_m` is its inner size, with length and width at half its depth; `material` is the one
-    of the file.
+    `inner_m` is the bin's inner size, with length and width at half the depth; `material` comes
+    from the file.
     """
 
     mesh: Mesh
@@ -50,10 +50,10 @@ class MeshBin:
 def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
     """Return a bin from an OBJ, PLY, STL or GLB file.
 
-    The floor is the height at which most of the surface faces up in the vertical cuts through
-    the middle. Length and width are the distances between opposite walls in a horizontal cut at
-    half the height, so that a slanted wall counts at its middle. Only the upward axis of the
-    file's coordinate frame matters.
+    The floor is the height at which most of the surface faces up in the vertical cuts through the
+    middle. Length and width are the distances between opposite walls in a horizontal cut at half
+    the height, so a slanted wall is measured at half its height. Only the upward axis of the file's
+    coordinate frame matters.
 
     Args:
         unit: see `load_mesh`.
@@ -61,7 +61,7 @@ def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
 
     Raises:
         MeshError: see `load_mesh`; or the mesh has no floor with walls around it.
-        ValueError: no such unit.
+        ValueError: the unit is unknown.
     """
     mesh, material, findings = load_mesh(path, unit=unit)
     turned = _moved(mesh, np.array(_TURNS[up], dtype=np.float64), np.zeros(3))
@@ -99,7 +99,7 @@ def inside_of(mesh: Mesh) -> tuple[Float[np.ndarray, "3"], tuple[float, float, f
 
 
 class _NoBin(MeshError):
-    """The mesh lacks a property of a bin, which the text names."""
+    """An error that names the property of a bin that the mesh lacks."""
 
 
 def _moved(mesh: Mesh, R: Float[np.ndarray, "3 3"], shift_m: Float[np.ndarray, "3"]) -> Mesh:
@@ -108,7 +108,7 @@ def _moved(mesh: Mesh, R: Float[np.ndarray, "3 3"], shift_m: Float[np.ndarray, "
 
 
 def _floor_m(mesh: Mesh) -> float:
-    """Weighted median height of the upward faces in the vertical cuts through the middle."""
+    """Return the weighted median height of the upward faces in vertical cuts through the middle."""
     middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
     heights, lengths = [], []
     for across in (0, 1):
@@ -123,7 +123,7 @@ def _floor_m(mesh: Mesh) -> float:
 
 
 def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
-    """Return the positions of the lower and the upper wall along x and along y."""
+    """Return the positions of the two opposite walls along x, and of those along y."""
     middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
     segment, normal = _cut(mesh, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, height_m]))
     sides = np.empty((2, 2))
@@ -141,7 +141,7 @@ def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
 def _cut(
     mesh: Mesh, normal: Float[np.ndarray, "3"], point_m: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 3"]]:
-    """Segments of the intersection of a plane and the mesh, and the normals of their faces."""
+    """Return the segments in which a plane cuts the mesh, and the normals of their faces."""
     import trimesh
 
     shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
@@ -156,7 +156,7 @@ def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray
 
 
 def _median(value: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], if_none: str) -> float:
-    """Return the weighted median; where all weights are 0, there is no bin."""
+    """Return the weighted median; raise `_NoBin` if all weights are 0."""
     if not weight.sum() > 0:
         raise _NoBin(if_none)
     order = np.argsort(value, kind="stable")

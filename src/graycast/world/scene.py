@@ -1,7 +1,7 @@
-"""The world before physics and light: parts, bin, surfaces, lights, rig.
+"""The world before physics and light: parts, bin, surfaces, lights and rig.
 
-World frame: origin in the middle of the bin's inner floor, z up. The bin stands on an endless
-looking table whose top is at `z = -bin.floor_m`.
+World frame: origin in the middle of the bin's inner floor, z up. The bin is on a table that looks
+endless; its top is at `z = -bin.floor_m`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -26,11 +26,11 @@ Wall = Annotated[float, Field(ge=0.0005, le=0.2)]
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bin:
-    """An open box, or a mesh in its place. The material's texture repeats every `texture_size_m`.
+    """A bin: an open box or a mesh. The material's texture repeats every `texture_size_m`.
 
-    `floor` is the material of the inner floor alone; None: the same as all else. A `mesh` is in
-    the world frame, `inner_m` says about what room it has inside, and `wall_m` nothing. Where
-    `own_texture`, the material's texture lies as the mesh's uv say.
+    `floor` is the material of the inner floor; None: `material`. A `mesh` is in the world frame,
+    `inner_m` is then its approximate inner size, and `wall_m` is unused. With `own_texture`, the
+    mesh's uv place the material's texture.
     """
 
     inner_m: tuple[Inner, Inner, Inner]
@@ -47,7 +47,7 @@ class Bin:
 
     @property
     def bounds_m(self) -> Float[np.ndarray, "2 3"]:
-        """Lowest and highest corner of all of it."""
+        """Lowest and highest corner of the whole bin."""
         if self.mesh is not None:
             return self.mesh.bounds_m
         x, y = (size / 2 + self.wall_m for size in self.inner_m[:2])
@@ -64,8 +64,8 @@ class Bin:
 class Quad:
     """A flat rectangle: centre and half edges in world coordinates [m]; lit on one side.
 
-    Its front is `cross(half_u_m, half_v_m)`. A texture is repeated every `texture_size_m`, from
-    the corner at `-half_u_m - half_v_m` on; None spreads it over the whole.
+    Its front faces along `cross(half_u_m, half_v_m)`. A texture starts at the corner `-half_u_m -
+    half_v_m` and repeats every `texture_size_m`; None spreads it over the whole quad.
     """
 
     center_m: tuple[float, float, float]
@@ -116,7 +116,7 @@ class Sphere:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Environment:
-    """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map scaled by it.
+    """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map times it.
 
     A map (EXR, HDR) is latitude-longitude with its top row at the world's zenith and its left
     border towards the world's +y; `rotation_rad` turns it about the world's z by the right-hand
@@ -136,7 +136,7 @@ class Environment:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lamp:
-    """A square area lamp, which shines in all directions in front of it; its back is black."""
+    """A square area lamp that shines in all directions from its front; its back is black."""
 
     center_m: Annotated[
         Vector, Field(description="The position of the lamp's middle in the world, in metres.")
@@ -160,11 +160,11 @@ class Lamp:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything that light meets but the poses of the dropped parts.
+    """Everything that light meets, except the poses of the dropped parts.
 
-    `parts` are the kinds, those without a label last; a `Layout` says how many of each lie where.
-    `surfaces` are analytic shapes for measurement. Without a bin there is no table either. The
-    table's texture is repeated every `table_texture_m`; None spreads it over the whole table.
+    `parts` are the kinds, unlabelled ones last; a `Layout` has the poses of their instances.
+    `surfaces` are analytic shapes for measurement. Without a bin, there is no table. The table's
+    texture is repeated every `table_texture_m`; None spreads it over the whole table.
     """
 
     rig: Rig
@@ -193,12 +193,12 @@ class Scene:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Result of a drop: where the parts lie, and the figures by which a layout is accepted.
+    """The result of a drop: the parts' poses, and the figures by which a layout is accepted.
 
-    `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The
-    figures are not judged here. `last_motion_m` is how far a point of a part was from its place
-    within the last 0.6 s, or 0.2 s if that showed rest. Penetration is that of the collision
-    hulls, which may be inside a curved surface by half a millimetre.
+    `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The figures
+    are not judged here. `last_motion_m` is how far any point of a part moved within the last 0.6 s,
+    or 0.2 s if these showed rest. Penetration is measured between collision hulls, which may be
+    inside a curved surface by half a millimetre.
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]
@@ -219,7 +219,7 @@ def bin_of(scene: Scene) -> Bin:
     """Return the bin; raise an error if the scene has none.
 
     Raises:
-        ValueError: the scene has none.
+        ValueError: the scene has no bin.
     """
     if scene.bin is None:
         raise ValueError("this scene has no bin, which this function needs: give Scene(bin=...)")
@@ -245,7 +245,7 @@ def table_quad(scene: Scene) -> Quad | None:
 
 
 def quad_mesh(quad: Quad) -> Mesh:
-    """Return a quad as two triangles, its texture's row 0 along the edge at `+half_v_m`."""
+    """Return a quad as two triangles; its texture's row 0 is along the edge at `+half_v_m`."""
     center, u, v = (np.array(value) for value in (quad.center_m, quad.half_u_m, quad.half_v_m))
     corners = np.array([center - u - v, center + u - v, center + u + v, center - u + v])
     uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * quad.texture_repeats
@@ -254,7 +254,7 @@ def quad_mesh(quad: Quad) -> Mesh:
 
 
 def lamp_quad(lamp: Lamp) -> Quad:
-    """Return a lamp's square, its front towards the target; black except for what it emits."""
+    """Return a lamp's black square, with its front towards the target, without its emission."""
     center, target = np.array(lamp.center_m), np.array(lamp.target_m)
     direction = (target - center) / np.linalg.norm(target - center)
     aside = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
@@ -324,7 +324,7 @@ _UPRIGHT, _LOW = (
 
 
 def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
-    """The bin's meshes by name, each of one material: all of it, or walls and inner floor."""
+    """Return the bin's names, meshes and materials: the whole bin, or walls and inner floor."""
     whole = bin_mesh(box)
     if box.floor is None:
         return (("bin", whole, box.material),)

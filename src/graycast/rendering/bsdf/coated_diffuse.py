@@ -79,7 +79,7 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         return ggx.between_rows(alpha, lambda row: ggx.interpolated(self.table, cosine, row))
 
     def _base_scale(self, alpha: mi.Float) -> mi.Float:
-        """Return the normalisation of the base, `1 / (pi (1 - mean albedo))`."""
+        """Return the normalisation factor of the base, `1 / (pi (1 - mean albedo))`."""
         if self.roughness is None:
             return self.base_scale
         mean = ggx.between_rows(alpha, lambda row: dr.gather(mi.Float, self.mean, row))

@@ -34,13 +34,13 @@ class _DeltaBSDF(mi.BSDF):
         return mi.Float(0)
 
     def eval_diffuse_reflectance(self, si, active):
-        """Return 0, because the denoiser's albedo is that of the surface behind."""
+        """Return 0, because the denoiser uses the albedo of the surface behind the glass."""
         return mi.Color3f(0)
 
 
 @final
 class Dielectric(_DeltaBSDF):
-    """The surface of a solid. It has one more property, `color_depth` [m].
+    """The surface of a solid. Its additional property is `color_depth` [m].
 
     On its way inside the solid, a ray loses light by Beer's law: after a length t, the remaining
     share is the colour to the power `t / color_depth`.

@@ -12,8 +12,8 @@ send back leaves later, in the same lobe. Its share is `F_ms = F_avg S_2 / (1 - 
 where `S_2` leaves after its second reflection. A white metal returns all light. If both surfaces
 are smooth, this is the sum of all reflections between two planes, `T^2 R / (1 - R E_c)`.
 
-The given reflectance of the metal is that in the film, which is lower than in air: for iron in oil
-it is 0.38 instead of 0.51.
+The metal's reflectance must be given for metal in the film, where it is lower than in air: for iron
+in oil it is 0.38 instead of 0.51.
 
 Leaves out: absorption and interference, so the film is clear and thicker than a few micrometres;
 the wider lobe of light that is reflected many times. The BSDF is not reciprocal, because `K`

@@ -85,7 +85,7 @@ def between_rows(alpha: mi.Float, value: Callable[[mi.UInt32], mi.Float]) -> mi.
 
 
 def schlick(normal: mi.Color3f, cos_half: mi.Float) -> mi.Color3f:
-    """Return a metal's Fresnel reflectance from that at normal incidence (C. Schlick, 1994)."""
+    """Return a metal's Fresnel reflectance from its normal reflectance (C. Schlick, 1994)."""
     away = 1 - cos_half
     return dr.fma(1 - normal, dr.square(dr.square(away)) * away, normal)
 

@@ -5,8 +5,8 @@ places of a part in its own frame: its mean is 0, its standard deviation 1, and 
 two places at the distance r is about `exp(-(r / length)^2)`. u is uniformly distributed, so it has
 the limit `MOTTLE_PEAK` and reflectance needs no clipping, which would change its mean.
 
-The field is one volume of numbers, read with linear interpolation and repeated in space. Its
-directions are turned against those of the part, so a flat face never shows the same cut again.
+The field is one volume of numbers, read with linear interpolation and repeated in space. Its axes
+are turned relative to the part's axes, so a flat face never shows the same cut again.
 
 Leaves out: varying slopes and roughness, which make glints, and a grain that is longer in one
 direction.

@@ -1,8 +1,8 @@
 """A rough metal that loses no light among its facets, as a Mitsuba BSDF.
 
 One reflection off GGX facets, `F D G2 / (4 cos cos)`, returns a share `E` of the light. For a white
-metal under uniform light this is 0.88 at roughness 0.5 and 0.41 at 1. The rest meets other facets
-and leaves later. It is added in the directions of the first lobe,
+metal under uniform light this is 0.88 at roughness 0.5 and 0.41 at 1. The remaining light meets
+other facets and leaves later. It is added in the directions of the first lobe,
 
     f = f_single (1 + F_ms (1 - E) / E),    F_ms = F_avg E_avg / (1 - F_avg (1 - E_avg)),
 

@@ -1,7 +1,7 @@
-"""The second back end: Blender Cycles, which renders each projected pattern separately.
+"""The back end Blender Cycles, which renders each projected pattern separately.
 
 Cycles has its own Python environment (`make cycles`) and runs in a child process. The modules here
-run in Graycast's process (`renderer.CyclesRenderer`); those of `worker/` run in the child.
+run in Graycast's process (`renderer.CyclesRenderer`); the modules of `worker/` run in the child.
 """
 
 from .process import CyclesState, examine_cycles

@@ -56,7 +56,7 @@ def find_cycles() -> Path | None:
 
 
 def examine_cycles() -> CyclesState:
-    """Ask the Python with Blender for Blender's version, without loading Blender."""
+    """Ask Cycles' Python for Blender's version, without loading Blender."""
     python = find_cycles()
     if python is None:
         return CyclesState(problem="Blender Cycles is not installed; run: make cycles")

@@ -2,9 +2,9 @@
 
 A path from the camera finds light from a polished face only if the random diffuse direction at the
 lit surface happens to meet the spot that mirrors the small lens of the projector. This is rare, and
-then very bright. A path from the projector meets that spot naturally. It starts at a position in
-the projector's picture and carries the levels there. Each vertex from the second on is connected to
-a point of the camera's pupil, and its light is added to the pixel there unless it is occluded.
+then very bright. A path from the projector meets that spot naturally. The path starts at a position
+in the projector's picture and carries the levels there. Each vertex from the second on is connected
+to a point of the camera's pupil, and its light is added to the pixel there unless it is occluded.
 
 Both kinds of path can find most of this light, so each is weighted by multiple importance sampling
 (`share`), with the odds that the other kind would have found the path. Direct light, and light

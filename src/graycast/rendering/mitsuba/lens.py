@@ -76,7 +76,7 @@ def picture_place(
 def camera_place(
     camera: Optics, q: mi.Point3f, place: mi.Point2f
 ) -> tuple[mi.Point2f, mi.Vector3f, mi.Float, mi.Bool]:
-    """Return the picture position of a point seen through a point of the pupil (on the unit disc).
+    """Return the picture position of a point, seen through a point of the pupil (on the unit disc).
 
     This is the inverse of `camera_ray` and `through_focus`.
 

@@ -1,4 +1,4 @@
-"""Reflection of single directions by a material, by the BSDF with which scenes are rendered."""
+"""A material's reflection between two directions, from the BSDF that also renders scenes."""
 
 import mitsuba as mi
 import numpy as np

@@ -253,7 +253,7 @@ class Tracer:
         return mi.Point3f(start), mi.Vector3f(self.stage.R_world_cam @ direction)
 
     def _beam(self, p: Paths, si, hit: mi.Bool) -> _Beam:
-        """Return the direct light of the projector, which is I / d^2 in its field."""
+        """Return the projector's direct light, which is I / d^2 inside the projector's field."""
         q = self.stage.light.in_own_frame(si.p)
         place, inverse_z, ahead = picture_place(self.projector, q)
         places = self._spread(p, si, place, inverse_z) if self.lookups > 1 else [place]
@@ -350,10 +350,10 @@ class Tracer:
         p.ambient += p.throughput * si.emitter(self.stage.world).eval(si) * weight
 
     def _lamp(self, p: Paths, si, hit: mi.Bool) -> _Lamp:
-        """Sample lamps and environment by a shadow ray, which is the only way at the last vertex.
+        """Sample lamps and environment by a shadow ray, the only method at the last vertex.
 
-        The first sample of a pair does this for both. A low-discrepancy sequence at first vertices
-        removes as much noise as this adds.
+        The first sample of a pair does this for both samples. A low-discrepancy sequence at first
+        vertices removes as much noise as this sharing adds.
         """
         samples, asking = self.quality.samples, hit & ((p.sample & 1) == 0)
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())

@@ -134,7 +134,7 @@ def share(odds: mi.Float) -> mi.Float:
 def odds_on_arrival(odds: mi.Float, si, direction: mi.Vector3f, first: mi.Bool) -> mi.Float:
     """Update the odds at a new vertex, where densities per area have the cosine as a factor.
 
-    Only at the first vertex the squared distance matters; elsewhere it is equal for both kinds.
+    The squared distance matters only at the first vertex; elsewhere it is equal for both kinds.
     """
     cosine = dr.abs(dr.dot(si.n, direction))
     return odds * dr.select(first, dr.square(si.t), 1) / cosine

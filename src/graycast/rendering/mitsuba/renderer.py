@@ -63,7 +63,7 @@ from .truth import centre_places, truth
 class MitsubaRenderer(Renderer):
     """The one-pass renderer. It keeps the last Mitsuba scene; the process keeps the device.
 
-    Other images of the same scene, by other rigs or from other poses, use it again.
+    Other images of the same scene, by other rigs or from other poses, use that scene again.
     """
 
     name = "mitsuba"

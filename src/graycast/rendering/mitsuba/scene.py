@@ -95,7 +95,7 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
 
 
 def _is_shiny(material: Material) -> bool:
-    """Return whether it mirrors a lamp brighter than white paper would be: `F0 D / 4 > 1 / pi`."""
+    """Return whether a lamp's reflection is brighter than white paper: `F0 D / 4 > 1 / pi`."""
     if material.transparent is not None:
         return True
     coat = ((material.ior - 1) / (material.ior + 1)) ** 2 if material.specular else 0.0
@@ -222,7 +222,7 @@ def _flat(array: np.ndarray) -> mi.Float:
 
 
 def _flat_surface(name: str, quad: Quad) -> mi.Mesh | dict[str, object]:
-    """Return a rectangle; a mesh if the surface is not the same everywhere or has a direction.
+    """Return a rectangle, or a mesh if the surface varies over its area or has a grain.
 
     A picture on a rectangle would be upside down.
     """

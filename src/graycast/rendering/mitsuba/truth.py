@@ -159,7 +159,7 @@ def _follow(
     going: mi.Bool,
     word_count: int,
 ) -> list[mi.UInt32]:
-    """Return the instances that each ray meets on its whole way, as bits."""
+    """Return, as bits, the instances that each ray meets along its full length."""
 
     def body(origin, going, words):
         # Neighbouring rays soon have different depths; as incoherent rays they take 25 % less time.

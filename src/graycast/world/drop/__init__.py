@@ -1,4 +1,4 @@
-"""Parts fall into the bin until they rest: `Scene -> Layout`; and one is lifted out again."""
+"""Simulation of parts that fall into the bin until they rest, and of a tool that lifts one out."""
 
 from .body import Body, parts_outside
 from .decomposition import Decomposition, prepare

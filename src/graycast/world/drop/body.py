@@ -1,4 +1,4 @@
-"""Rigid bodies that fall, one for each kind of part, and the check that they are in the bin."""
+"""Rigid bodies that fall, one for each kind of part, and the check that parts are in the bin."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -18,7 +18,7 @@ Kinds = Int[np.ndarray, " n"]  # the kind of each part
 class Body:
     """One kind of part as a rigid body of the physics engine, in the part's frame.
 
-    Mass, centre and moments are those of the true mesh filled evenly, not of the hulls.
+    Mass, centre of mass and inertia belong to the evenly filled mesh, not to the hulls.
     """
 
     hulls: tuple[Hull, ...]
@@ -34,14 +34,14 @@ class Body:
 
     @property
     def box_m(self) -> Float[np.ndarray, "8 3"]:
-        """Corners of the box around the hulls, which bound the motion of all points."""
+        """Corners of the box around the hulls; no point of the part moves farther than a corner."""
         vertices = np.vstack([vertices for vertices, _ in self.hulls])
         spans = zip(vertices.min(axis=0), vertices.max(axis=0), strict=True)
         return np.array(list(product(*spans)))
 
 
 def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
-    """Mass, centre of mass and inertia of a closed mesh, by signed tetrahedra from the origin.
+    """Return a part as a body; mass and inertia are sums over signed tetrahedra from the origin.
 
     A tetrahedron (0, a, b, c) of signed volume V has the second moment
     `V / 20 (s s^T + a a^T + b b^T + c c^T)` with `s = a + b + c`.
@@ -74,10 +74,10 @@ def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
 def motion_m(
     T_world_part: Float[np.ndarray, "t n 4 4"], box_m: Float[np.ndarray, "n 8 3"]
 ) -> Float[np.ndarray, "t n"]:
-    """The largest distance of a point of each part, in each pose, from where it is in the last [m].
+    """Return, for each pose of each part, how far a point of it is from its last position [m].
 
-    `box_m` are corners of a box about each part, in its frame. Distance from a fixed pose is a
-    convex function of the point, so no point in the box was farther than a corner.
+    `box_m` has the corners of a box around each part, in the part's frame. The distance is a convex
+    function of the point, so no point in the box moved farther than a corner.
     """
     corner_m = box_m @ np.swapaxes(T_world_part[..., :3, :3], -1, -2)
     corner_m += T_world_part[:, :, None, :3, 3]
@@ -91,8 +91,8 @@ def parts_outside(
     """Return a mask of the parts that are not in the bin.
 
     A part is in the bin if its centre of mass is above the inner floor's rectangle and its lowest
-    point is below the rim. So a part that sticks out of the heap over the rim is inside, one that
-    hangs over the wall with its weight beyond it, or lies on top of an overfull heap, is not.
+    point is below the rim. So a part that rises from the heap over the rim is inside. A part with
+    its centre of mass beyond the wall, or a part on top of an overfull heap, is outside.
     """
     outside = np.zeros(len(part_index), dtype=bool)
     for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):

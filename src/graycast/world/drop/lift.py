@@ -1,9 +1,9 @@
 """Simulation of a tool that lifts a part out of the heap and holds or loses it.
 
-The tool moves along a given path and nothing moves it. What it holds hangs on it by springs and
-dampers, as a cup on its bellows does; their force is known at every step, and the tool's own law
-says whether it can carry it. The grip therefore carries its true load: the weight, neighbours
-on the part, friction at walls, and the accelerations of the path.
+The tool follows a given path, whatever forces act on it. The part hangs on the tool by springs and
+dampers, like a suction cup on its bellows; their force is known at every step, and the tool's own
+law says whether the grip holds. The grip therefore carries its true load: the weight, parts that
+lie on the part, friction at walls, and the accelerations of the path.
 
 Leaves out: collisions of the tool's body, which the planner must prevent.
 """
@@ -34,11 +34,11 @@ STEP_S = 0.002
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hold:
-    """Grip of a tool on a part: its pose on the part, its strength and its stiffness.
+    """A tool's grip on a part: the tool's pose on the part, and the grip's strength and stiffness.
 
-    `T_part_tool` is the tool's pose on the part. `factor` returns the safety factor of a load:
-    a force [N] and its moment about the tool's origin [Nm], both in the tool's frame, as the part
-    pulls at the tool. `stiffness_n_m` is along each axis, `turning_nm` about each [Nm/rad].
+    `T_part_tool` is the tool's pose on the part. `factor` returns the safety factor of a load: a
+    force [N] and its moment about the tool's origin [Nm], both in the tool's frame, as the part
+    pulls at the tool. `stiffness_n_m` applies along each axis, `turning_nm` about each [Nm/rad].
     """
 
     T_part_tool: Float[np.ndarray, "4 4"]
@@ -56,9 +56,9 @@ class Hold:
 class Lift:
     """Outcome of a lift.
 
-    `T_world_part` are the poses at its end. `lost_s` is the time at which the tool lost the
-    part, or None. `least_factor` is the smallest safety factor during the lift, with `force_n`
-    and `moment_nm` at that moment in the tool's frame.
+    `T_world_part` are the parts' poses at the end. `lost_s` is the time at which the tool lost the
+    part, or None. `least_factor` is the smallest safety factor during the lift, with `force_n` and
+    `moment_nm` at that moment in the tool's frame.
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]
@@ -77,10 +77,10 @@ def lift(
     hold: Hold,
     T_world_tool: Float[np.ndarray, "t 4 4"],
 ) -> Lift:
-    """Move a tool that holds a part along a path, while the others lie at rest.
+    """Move a tool that holds a part along a path; the other parts are at rest at first.
 
     Args:
-        number: of the part that is held.
+        number: index of the part that the tool holds.
         T_world_tool: the path, a pose for each step of `STEP_S`; the first is where the tool is
             on the part.
     """
@@ -116,7 +116,7 @@ def _motion(
 ) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t 3"]]:
     """Return the velocity [m/s] and the angular velocity [rad/s] of the tool at each step.
 
-    It stands still at first, and then moves as it has moved from the pose before.
+    The first velocity is 0; each other one follows from the pose and the pose before.
     """
     before = T_world_tool[np.maximum(np.arange(len(T_world_tool)) - 1, 0)]
     velocity = (T_world_tool[:, :3, 3] - before[:, :3, 3]) / STEP_S
@@ -138,7 +138,7 @@ class _Spring:
     def of(hold: Hold, body: Body) -> "_Spring":
         """Return a spring with critical damping that is no stiffer than a step can follow.
 
-        A force beside the centre of mass turns the part, too: what it moves there is less than
+        A force off the centre of mass also turns the part, so the effective mass there is less than
         the part's mass.
         """
         least_moment = float(np.linalg.eigvalsh(body.inertia_kg_m2).min())
@@ -172,7 +172,7 @@ class _Spring:
 
 
 def _cross(a: Vector3, b: Vector3) -> Vector3:
-    """Return the cross product of one pair, in a tenth of the time of `numpy.cross`."""
+    """Return the cross product of two vectors, in a tenth of the time of `numpy.cross`."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 

@@ -1,8 +1,8 @@
 """The physics engine Rapier 0.36, which only this file uses.
 
-Lengths are scaled by 20 inside, gravity too, because Rapier's contact model is tuned to things
-of a metre; times and masses are not. Rapier's defaults leave 1 mm of overlap or never rest. One
-thread, so that one start gives one end, bit for bit, on one type of machine.
+Internally, lengths and gravity are scaled by 20, because Rapier's contact model is tuned to objects
+of a metre; times and masses are not scaled. Rapier's defaults leave 1 mm of overlap or never rest.
+It runs in one thread, so equal starts give equal ends, bit for bit, on one type of machine.
 
 Leaves out: bouncing (restitution is 0), rolling friction, bending, air. Friction of a pair is the
 mean of the two coefficients; the engine's cone gives 86 to 100 % of it, by direction. Flat faces
@@ -53,7 +53,7 @@ class Terms:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RapierPart:
-    """A kind of part as the engine holds it."""
+    """A kind of part in the engine's own form."""
 
     shape: rapier3d.SharedShape
     mass: rapier3d.MassProperties
@@ -86,7 +86,7 @@ Pieces = Float[np.ndarray, "_ _ 3"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RapierHeap:
-    """A world with a bin and parts that stand still in it; colliders' labels count both."""
+    """A world with a bin and parts that start at rest; each has a range of collider labels."""
 
     world: rapier3d.PhysicsWorld
     blocks: list[Pieces]
@@ -262,7 +262,7 @@ def _near(one: list[np.ndarray], other: list[np.ndarray]) -> list[list[int]]:
 def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.ndarray]]) -> float:
     """Return the deepest overlap of any two solids [m].
 
-    `solids` has, by collider label, the convex pieces as vertices [m] in the world.
+    `solids` has the vertices [m] of convex pieces in the world, by collider label.
 
     The engine's own figure is not reliable: in a heap of 255 concave parts it reports a depth of
     metres for one or two pairs, and such a false alarm would reject every full bin.
@@ -285,7 +285,7 @@ def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.nda
 
 
 def overlap_m(a: Float[np.ndarray, "v 3"], b: Float[np.ndarray, "w 3"]) -> float:
-    """Return the shortest move that parts the convex hulls of two point sets; 0 if they are apart.
+    """Return the shortest move that separates two point sets' convex hulls; 0 if they are apart.
 
     The hulls overlap where their Minkowski difference `{p - q}` holds the origin, and the depth
     is the origin's distance to the nearest face of it.

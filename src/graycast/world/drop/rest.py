@@ -1,13 +1,13 @@
 """Simulation of parts that fall and come to rest, in two stages.
 
-They **fall** between walls that stand on the bin's and guide them, damped a little, until no part
-moves far. Then they **rest** in a new world without speeds, forces or contacts of the fall, without
-the walls, with nine tenths of the friction, and without damping. Only a part that leaves its place
-is damped, until it has come to another. So what a heap holds by, it holds by itself.
+Parts **fall** between walls that extend the bin's walls upwards, slightly damped, until no part
+moves far. Then they **rest** in a new world without the speeds, forces or contacts of the fall,
+without these walls, with nine tenths of the friction, and without damping. Only a part that leaves
+its place is damped, until it rests again. So a heap at rest needs no support by the simulation.
 
 Rest is defined by positions over time, not by an instantaneous speed. Damping replaces what the
 engine does not model (rolling friction, bending, air). It is small at first and then grows, so that
-rocking parts come to rest. Parts fall no faster than 1 m/s, as if let down by hand.
+rocking parts come to rest. Parts fall no faster than 1 m/s, as if lowered by hand.
 """
 
 from collections import deque
@@ -57,12 +57,12 @@ def simulate(
     """Let parts fall from their start poses until they rest, or for `simulated_s`.
 
     At rest means: without guiding walls, without damping and with nine tenths of the friction, no
-    point of a part moved by more than 0.5 mm in 0.6 s, or none by more than 10 um in 0.2 s. So what
-    leans over the rim falls off.
+    point of a part moved by more than 0.5 mm in 0.6 s, or by more than 10 um in 0.2 s. So a part
+    that leans over the rim falls off.
 
     Returns:
-        The final state without a verdict, which `flaws` gives. `deepest_penetration_m` is the
-        deepest overlap of any two hulls of different parts, or of a hull and the bin.
+        The final state, which `flaws` judges. `deepest_penetration_m` is the deepest overlap of any
+        two hulls of different parts, or of a hull and the bin.
     """
     kinds = [RapierPart.of(body) for body in bodies]
     box_m = np.stack([body.box_m for body in bodies])[part_index]
@@ -87,7 +87,7 @@ def simulate(
 def _fall(
     heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float]:
-    """Return poses when no part moves far any more, or time is out, and the simulated time [s]."""
+    """Return poses once no part moves far, or once time is up, and the simulated time [s]."""
     poses = deque([heap.poses()], maxlen=1 + FALLEN_LOOKS)
     for look in range(1, 1 + _looks(patience_s)):
         heap.damp(np.full(len(box_m), _damping(look * LOOK_S, *FALL_DAMPING_S)))
@@ -103,8 +103,8 @@ def _rest(
 ) -> tuple[Float[np.ndarray, "n 4 4"], float, float, bool]:
     """Return poses, how far a point moved last [m], simulated time [s], and whether the parts rest.
 
-    The motion is that of the last 0.6 s, or of the last 0.2 s if these showed that all parts rest.
-    A part is damped from when it has left its place until it has come to another.
+    The motion is measured over the last 0.6 s, or the last 0.2 s if these showed that all parts
+    rest. A part that has left its place is damped until it rests in a new place.
     """
     poses = deque([heap.poses()], maxlen=1 + REST_LOOKS)
     damped_looks = np.zeros(len(box_m))  # number of looks for which each part was damped

@@ -1,4 +1,4 @@
-"""Drops a scene's parts, judges the outcome and tries again with the next sub-seed.
+"""Drops of a scene's parts, repeated with the next sub-seed until a layout is acceptable.
 
 Parts start in random cells of a voxel grid above the bin, in random orientations. Source: Bai et
 al., "Close the Sim2real Gap via Physically-based Structured Light Synthetic Data Simulation", 2024
@@ -37,13 +37,13 @@ HEAP_ABOVE_RIM = 1.5  # No heap has a larger volume than this many bins.
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DropLimits:
-    """Area where parts start to fall, and the limits of an accepted layout.
+    """The area where parts start to fall, and the limits of an accepted layout.
 
     A layout must also be at rest, with all parts inside the bin.
 
-    `simulated_s` is how long one attempt may fall and settle, in simulated time. `opening_share`
-    is the share of the bin's inner length and of its inner width, about the middle, over which the
-    parts start; a small one makes a heap in the middle.
+    `simulated_s` is how long one attempt may fall and settle, in simulated time. Parts start over
+    the middle of the bin, over `opening_share` of its inner length and inner width; a small share
+    makes a heap in the middle.
     """
 
     penetration_m: Annotated[
@@ -113,14 +113,14 @@ def drop(
     is returned, with its attempt number. One seed gives one layout, bit for bit.
 
     Args:
-        counts: 0 or more of each kind, 0 to 255 in all; 0 in all leave the bin empty.
-        seed: 0 or more.
+        counts: number of parts of each kind, 0 to 255 in total; a total of 0 leaves the bin empty.
+        seed: seed for the drop, 0 or greater.
         hull_folder: cache of `prepare`; the user's cache folder if None.
-        progress: hears what begins; each stage may take seconds.
+        progress: called at the start of each stage; a stage may take seconds.
 
     Raises:
-        ValueError: no bin, wrong counts, a part that does not fit, more than the bin could hold.
-        DropError: no attempt was within the limits; says what the best one came to.
+        ValueError: there is no bin, counts are wrong, or the parts cannot fit into the bin.
+        DropError: no attempt was within the limits; the text describes the best attempt.
     """
     if scene.bin is None:
         raise ValueError(
@@ -180,7 +180,7 @@ def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tupl
 
 
 def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:
-    """Return a text on all failed attempts, with remedies for the defects of the best one."""
+    """Return a text on all failed attempts, with remedies for the best attempt's defects."""
     best = min(tried, key=lambda one: (one.outside, not one.at_rest, one.deepest_penetration_m))
     what = f"{count} part{'s' if count > 1 else ''} in a bin of {_mm(box.inner_m)}"
     remedies = []
@@ -216,7 +216,7 @@ def _check_sizes(box: Bin, parts: tuple[Part, ...]) -> None:
 
 
 def _check_volume(box: Bin, bodies: tuple[Body, ...], number: tuple[int, ...]) -> None:
-    """Refuse a volume of parts that cannot fit, before any simulation."""
+    """Refuse parts whose total volume cannot fit, before any simulation."""
     volume_m3 = sum(n * body.volume_m3 for n, body in zip(number, bodies, strict=True))
     bin_m3 = float(np.prod(box.inner_m))
     if volume_m3 / PACKING > HEAP_ABOVE_RIM * bin_m3:
@@ -242,22 +242,22 @@ def start_poses(
 ) -> tuple[Float[np.ndarray, "n 4 4"], Int[np.ndarray, " n"]]:
     """Draw start poses that touch neither each other nor the bin's walls extended upwards.
 
-    A cell is as large as the largest part's bounding sphere, about the middle of its box. Cells
-    are stacked in layers from the rim up; a part may have any orientation in its cell. In a bin
-    narrower than the sphere a cell is as wide as the bin, and orientations that do not fit
+    A cell is as large as the largest part's bounding sphere, which is centred on the part's box.
+    Cells are stacked in layers from the rim up; a part may have any orientation in its cell. In a
+    bin narrower than the sphere a cell is as wide as the bin, and orientations that do not fit
     between the walls are drawn again.
 
     Args:
-        box: the bin; the grid stands on its inner rectangle.
-        corners_m: per kind of part, points whose hull holds it, in the part's frame.
-        opening_share: the grid is so many times as long and as wide as the bin, about its middle,
-            and at least a cell.
+        box: the bin; the grid is above its inner rectangle.
+        corners_m: for each kind of part, points whose hull contains it, in the part's frame.
+        opening_share: length and width of the grid as a share of the bin's; the grid is centred and
+            has at least one cell.
 
     Returns:
-        `T_world_part`, and the kind of each; the kinds are mixed at random.
+        `T_world_part`, and the kind of each part; the kinds are mixed at random.
 
     Raises:
-        ValueError: a part found no orientation in which it fits between the walls.
+        ValueError: no orientation in which a part fits between the walls was found.
     """
     middle = [(points.min(axis=0) + points.max(axis=0)) / 2 for points in corners_m]
     reach_m = max(

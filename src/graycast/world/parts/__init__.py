@@ -1,4 +1,4 @@
-"""The object database: meshes with materials, built in and the user's own."""
+"""The parts: built-in ones and the user's own, as meshes with materials."""
 
 from .builtin import BUILTIN, builtin_part
 from .material_presets import MATERIALS, material_preset

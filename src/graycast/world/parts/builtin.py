@@ -1,4 +1,4 @@
-"""The built-in parts: our own counterparts of the paper's five, modelled in code.
+"""The built-in parts: our counterparts of the paper's five parts, modelled in code.
 
 Each is centred on its bounding box. Shapes are modelled in millimetres and scaled once. A filled
 package is one solid of uniform density: its mass is right, its centre of mass and its
@@ -63,7 +63,7 @@ def _ring() -> Part:
 
 
 def _bracket() -> Part:
-    """Return a milled steel U bracket, 60 x 40 x 30 mm, unchanged by half a turn about z."""
+    """Return a milled steel U bracket, 60 x 40 x 30 mm; half a turn about z leaves it unchanged."""
     body = _extruded_along_y(_u_profile_mm(), 40.0) ^ _chamfered_footprint()
     cuts = Manifold()
     for x in (-12.0, 12.0):  # screw holes in the base, countersunk from above
@@ -116,8 +116,8 @@ def _label(name: str) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Region]]:
     """Read a printed label, which `studies/printed_labels.py` drew.
 
     Returns:
-        Its picture (8-bit sRGB), and the lower left and upper right corner (u0, v0, u1, v1) of
-        each panel, v up.
+        The label's picture (8-bit sRGB), and the lower left and upper right corner (u0, v0, u1, v1)
+        of each panel, v up.
     """
     folder = files(__package__) / "labels"
     with (folder / f"{name}.png").open("rb") as file:
@@ -139,7 +139,7 @@ def _carton(
     density_kg_m3: float,
     roughness: float,
 ) -> Part:
-    """Return a printed box with slightly rounded edges. The print tells all its sides apart."""
+    """Return a printed box with slightly rounded edges; each side has a different print."""
     image, region = _label(label)
     vertices, faces, panel = rounded_box(size_mm, edge_mm, steps=3)
     corner_uv = np.empty((len(faces), 3, 2))
@@ -158,13 +158,13 @@ def _carton(
 
 
 def _into_region(share: Float[np.ndarray, "*n 2"], region: Region) -> Float[np.ndarray, "*n 2"]:
-    """Return positions in a panel (0 to 1 to the right and up) as uv of the atlas."""
+    """Return the uv in the atlas of positions in a panel (0 to 1, to the right and up)."""
     low, high = np.array(region[:2]), np.array(region[2:])
     return low + share * (high - low)
 
 
 def _salt_box() -> Part:
-    """Return a salt box of the size of KIT's `yellowsaltcube`, which is no cube: 61 x 70 x 146 mm.
+    """Return a salt box as large as KIT's `yellowsaltcube`, which is not a cube: 61 x 70 x 146 mm.
 
     Density: 650 g of salt (1.2 kg per litre as poured, the box nine tenths full) and 20 g of
     carton in 0.607 litres.
@@ -180,7 +180,7 @@ def _salt_box() -> Part:
 
 
 def _toothpaste() -> Part:
-    """Return a toothpaste carton, which lies with its long side along x.
+    """Return a toothpaste carton with its long side along x.
 
     Density: a 100 ml tube (1.3 kg per litre, 10 g of tube) and a 15 g carton in 0.324 litres.
     """
@@ -231,7 +231,7 @@ def _spray() -> Part:
 
 
 def _spray_body() -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Superelliptic sections: a rounded foot, a straight body, a shoulder that ends in a neck."""
+    """Return superelliptic sections: a rounded foot, straight sides, a shoulder and a neck."""
     half_x, half_y, neck_z = _SPRAY_BODY_MM[0] / 2, _SPRAY_BODY_MM[1] / 2, _SPRAY_BODY_MM[2]
     sections = []
     for a in np.pi / 2 * np.arange(6) / 5:

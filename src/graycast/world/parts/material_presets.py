@@ -1,21 +1,21 @@
 """Named materials, such as `material: steel` in a configuration.
 
-The colour of a pure metal is its reflectance at normal incidence in air,
-`((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)`, at 610, 550 and 465 nm, which stand for the three bands;
-`n` and `k` are published and linear between the wavelengths of their tables. The colour of what is
-no metal, where it has a source, is the measured reflectance at the same wavelengths. That of what
-is transparent is what 10 mm leave of the light; the source is that of the index. All else is our
-choice, with every roughness, anisotropy and scattered share: a start, until the user knows those of
-the part. Brushed and ground metal has its grooves along x of the mesh, turned metal about z.
+The colour of a pure metal is its reflectance at normal incidence in air, `((n - 1)^2 + k^2) / ((n +
+1)^2 + k^2)`, at 610, 550 and 465 nm, which stand for the three bands; `n` and `k` are published and
+linear between the wavelengths of their tables. The colour of a nonmetal with a source is the
+measured reflectance at the same wavelengths. A transparent material's colour is the share of light
+that 10 mm transmit; its source is that of the index. Everything else is our choice, including every
+roughness, anisotropy and scattered share: a start, until the user knows the part's. Brushed and
+ground metal has its grooves along x of the mesh, turned metal about z.
 
 `surface` names the measured numbers of a finish. Classes of Ra do not give a roughness, because
 `alpha` is about 1.4 times the standard deviation of the slope along a line, which also depends on
 the distances between peaks.
 
-`steel-oiled` is the same formula with `n - 1.47` and `n + 1.47`, the metal in oil.
+`steel-oiled` uses the same formula with `n - 1.47` and `n + 1.47`, for metal in oil.
 
 Leaves out: oxide films and scratches, which make real metal darker than a pure one; `steel`
-stands for such a surface. Densities are of the usual alloy or grade, for `graycast new`.
+describes such a surface. Densities, for `graycast new`, apply to the usual alloy or grade.
 """
 
 import difflib
@@ -57,7 +57,7 @@ _MEASURED = "measured: physicallybased.info, "
 class MaterialPreset:
     """A material, the density of its substance [kg/m^3], and the source of its colour.
 
-    `surface` says which other numbers were measured, and where; without it, they are our choice.
+    `surface` names the other measured numbers and their source; without it, they are our choice.
     """
 
     material: Material
@@ -80,7 +80,7 @@ def _metal(
 
 
 def _finished(preset: MaterialPreset, surface: str, **changes: Any) -> MaterialPreset:
-    """Return a metal with a scattered share and a mottle, and the source of these numbers."""
+    """Return a metal preset with a scattered share, a mottle, and the source of both numbers."""
     return replace(preset, material=replace(preset.material, **changes), surface=surface)
 
 

@@ -1,4 +1,4 @@
-"""Settings of a surface, and the material that they stand for."""
+"""Settings of a surface, and the material that they describe."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ PresetName = Annotated[
 
 
 def _named_axis(axis: Any) -> Any:
-    """Return the direction of x, y or z of the mesh; all else is checked as a vector."""
+    """Return the direction of the mesh's axis x, y or z; check all other input as a vector."""
     names = ("x", "y", "z")
     return tuple(float(name == axis) for name in names) if axis in names else axis
 
@@ -48,10 +48,10 @@ Direction = Annotated[
 
 
 class MaterialSection(Settings):
-    """A surface in a few physical words, or the name of a material alone.
+    """Settings that describe a surface in physical terms, or only the name of a material.
 
-    A key that is left out keeps the value of the named material or of a built-in part; elsewhere it
-    has its default.
+    A key that is left out has the value of the named material or the built-in part, or else its
+    default.
     """
 
     preset: PresetName | None = Field(
@@ -155,7 +155,7 @@ class MaterialSection(Settings):
 
     @property
     def files(self) -> dict[str, Path]:
-        """The pictures that it names, by key."""
+        """The picture files that the section names, by key."""
         named = {"texture": self.texture, "roughness_map": self.roughness_map}
         return {key: path for key, path in named.items() if path is not None}
 
@@ -179,10 +179,10 @@ MaterialWords = Annotated[
 def resolve_material(
     section: MaterialSection, folder: Path, *, own: Material | None = None
 ) -> Material:
-    """Return a material, its pictures read.
+    """Return a material with its pictures, which are read from files.
 
     Args:
-        own: what a key that is left out keeps, unless the section names a preset; None is the
+        own: values of the keys that are left out, unless the section names a preset; None is the
             default material.
 
     Raises:

@@ -1,6 +1,6 @@
-"""Bytes of mesh files: which format they are in, STL as programs really write it, other files.
+"""Bytes of mesh files: their format, STL with common defects, and the files that they name.
 
-A file's ending promises a format; its first bytes say which it has. An OBJ, PLY or GLB file may
+A file's ending promises a format; its first bytes show the true one. An OBJ, PLY or GLB file may
 name further files: materials and pictures.
 """
 
@@ -37,10 +37,10 @@ _OTHER_FORMATS = (  # the first bytes, their file endings, and the words of the 
 
 
 def refuse_other_format(path: Path, suffix: str) -> None:
-    """Refuse a file whose first bytes are those of another format than its ending states.
+    """Refuse a file whose first bytes belong to a different format than its ending states.
 
     Raises:
-        Refusal: it is of such a format; the text says of which, and the remedy.
+        Refusal: the formats differ; the text names the true format and the remedy.
     """
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
@@ -57,24 +57,24 @@ def _is_whole_binary_stl(path: Path, head: bytes) -> bool:
 
 
 def stl_bytes(head: bytes) -> int:
-    """Return how many bytes a binary STL has by its head, which counts the triangles."""
+    """Return the size of a binary STL in bytes; its header states the number of triangles."""
     return STL_HEAD + STL_TRIANGLE * stl_count(head)
 
 
 def stl_count(head: bytes) -> int:
-    """Return the number of triangles in the head of a binary STL: its bytes 80 to 83."""
+    """Return the number of triangles that a binary STL's header states in bytes 80 to 83."""
     return int.from_bytes(head[80:84], "little")
 
 
 def plain_stl(path: Path) -> tuple[bytes | None, tuple[str, ...]]:
-    """Return the bytes of an STL file as the reader takes it, and notes on what was left out.
+    """Return an STL file's bytes in a form that the reader accepts, and notes on what was removed.
 
-    A text's names of solids, which may be in any encoding, are left out, "end solid" becomes
-    "endsolid", and bytes behind the last triangle of a binary file are cut. None stands for a
-    file that needs no change.
+    In a text file, names of solids, which may be in any encoding, are removed, and "end solid"
+    becomes "endsolid"; in a binary file, bytes after the last triangle are cut off. None means that
+    the file needs no change.
 
     Raises:
-        Refusal: a binary file is shorter than its head says.
+        Refusal: a binary file is shorter than its header states.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -104,10 +104,10 @@ def _plain_text(text: bytes) -> bytes:
 
 
 def files_of_mesh(path: Path) -> tuple[Path, ...]:
-    """Return the files that a mesh file draws on: materials and pictures of its colour.
+    """Return the files that a mesh file uses: materials, and pictures of its colour.
 
-    They lie in the folder of the mesh or below it; names that lead to no file are left out, as
-    the reader leaves them out. STL and STEP files draw on none.
+    The files are in the folder of the mesh or below it; names without a file are left out here and
+    by the reader. STL and STEP files use no other files.
     """
     names = {".obj": _names_in_obj, ".ply": _names_in_ply, ".glb": _names_in_glb}
     search = names.get(path.suffix.lower())
@@ -120,8 +120,8 @@ def files_of_mesh(path: Path) -> tuple[Path, ...]:
 def file_beside(path: Path, name: str) -> Path | None:
     r"""Return the file that a mesh file refers to by a name; None if it does not exist.
 
-    Programs on Windows write `maps\red.png`. A name that leads out of the mesh's folder is looked
-    for by its last part in that folder alone.
+    Programs on Windows write `maps\red.png`. If a name leads out of the mesh's folder, only its
+    last part is used, in that folder.
     """
     folder = path.parent
     for form in (name.strip(), name.strip().replace("\\", "/")):

@@ -1,4 +1,4 @@
-"""Mesh files of the user: reading, checking, and errors with a remedy.
+"""The user's mesh files: reading, checks, and errors with a remedy.
 
 A file is accepted or refused. Repairs that do not change the shape (merged vertices, dropped
 repeated faces) are reported. The mesh keeps the file's coordinate frame; its shading normals
@@ -54,12 +54,12 @@ def load_part(
     """Load a part from an OBJ, PLY, STL, GLB or STEP file.
 
     Args:
-        path: as in `load_mesh`, and so are `unit` and `material`.
-        name: of the part; None takes the file's name without its ending.
-        symmetry: in the file's own frame, lengths in metres; None: the part has none.
+        path: see `load_mesh`, also for `unit` and `material`.
+        name: name of the part; None takes the file's name without its ending.
+        symmetry: symmetry in the file's own frame, lengths in metres; None: no symmetry.
 
     Returns:
-        The part, and notes on the file that are no reason to refuse it, a sentence each.
+        The part, and notes on harmless defects of the file, one sentence each.
 
     Raises:
         MeshError, ValueError: see `load_mesh`.
@@ -87,17 +87,17 @@ def load_mesh(
     """Load a mesh in metres, and its surface, from OBJ, PLY, STL, GLB or STEP.
 
     Args:
-        path: the mesh file; a texture is looked for where the file says.
-        unit: one of `UNITS_M`. None takes metres where the format states its unit (GLB, STEP), or
-            where the longest side is then within `UNSTATED_SIZE_M`.
-        material: None takes the file's texture on a plain dielectric, or plain grey.
+        path: the mesh file; the file says where its texture is.
+        unit: one of `UNITS_M`. None means metres if the format states its unit (GLB, STEP), or if
+            the longest side is then within `UNSTATED_SIZE_M`.
+        material: the surface; None takes the file's texture on a plain dielectric, or plain grey.
 
     Returns:
-        Mesh, material, and notes on the file that are no reason to refuse it.
+        Mesh, material, and notes on harmless defects of the file.
 
     Raises:
-        MeshError: the file cannot be read, is no closed surface facing outwards, or is of an
-            impossible size. One line that names the file and the remedy.
+        MeshError: the file cannot be read, has no closed surface facing outwards, or has an
+            impossible size. One line names the file and the remedy.
         ValueError: `unit` is not one of `UNITS_M`.
     """
     if unit is not None and unit not in UNITS_M:
@@ -126,8 +126,8 @@ def load_mesh(
 def _load_reader() -> None:
     """Load trimesh in a thread, while this thread handles Ctrl-C and SIGTERM.
 
-    While it is loaded, it suppresses exceptions of signal handlers, which Python runs only in
-    the main thread.
+    The import of trimesh suppresses exceptions that signal handlers raise; Python runs these only
+    in the main thread.
     """
     loader = threading.Thread(target=importlib.import_module, args=("trimesh",), daemon=True)
     loader.start()
@@ -149,7 +149,7 @@ def _quiet() -> Iterator[None]:
 
 
 def read_surface(path: Path) -> RawMesh:
-    """Return what a file says, in its own unit; whether it can be a part is not judged.
+    """Return a file's content in its own unit, without a check that it can be a part.
 
     Raises:
         Refusal: the file cannot be read as a mesh with triangles.
@@ -183,7 +183,7 @@ def read_surface(path: Path) -> RawMesh:
 
 
 def _resolver(path: Path):
-    """Return a resolver of the reader's that finds the same files as `files_of_mesh` does."""
+    """Return a resolver for the reader that finds the same files as `files_of_mesh`."""
     from trimesh.resolvers import FilePathResolver
 
     class Beside(FilePathResolver):
@@ -197,7 +197,7 @@ def _resolver(path: Path):
 
 
 def _check_file(path: Path, suffix: str) -> None:
-    """Refuse a file that cannot be a mesh by its kind, ending and size, before reading it."""
+    """Refuse a file whose kind, ending or size shows that it is no mesh, before it is read."""
     if not path.exists():
         raise Refusal("there is no such file; check the path")
     if not path.is_file():  # A pipe would block, and a device never ends.
@@ -224,7 +224,7 @@ def _check_file(path: Path, suffix: str) -> None:
 
 
 def _check_stl_count(path: Path, size: int) -> None:
-    """Refuse a binary STL whose head counts too many triangles, before they are read."""
+    """Refuse a binary STL whose header states too many triangles, before they are read."""
     with path.open("rb") as stream:
         head = stream.read(STL_HEAD)
     count = stl_count(head)
@@ -242,7 +242,7 @@ def _one_line(error: Exception) -> str:
 
 
 def _surface(pieces: Sequence, *, shares_vertices: bool) -> RawMesh:
-    """Return the reader's meshes as one; uv and texture are kept where one texture covers all."""
+    """Return the reader's meshes as one; keep uv and texture if one texture covers all meshes."""
     start = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
     faces = [
         np.asarray(piece.faces, dtype=np.int64) + s
@@ -309,14 +309,14 @@ def _picture(piece) -> UInt8[np.ndarray, "h w 3"] | None:
 
 
 def _face_color(pieces: Sequence) -> UInt8[np.ndarray, "f 3"] | None:
-    """Return the sRGB of each face, where every piece has colours of its vertices or faces."""
+    """Return the sRGB of each face if every piece has colours of its vertices or faces."""
     if any(piece.visual.kind not in ("vertex", "face") for piece in pieces):
         return None
     return np.concatenate([np.asarray(p.visual.face_colors)[:, :3] for p in pieces])
 
 
 def _has_colours(piece) -> bool:
-    """Return whether a file gives colours; the reader uses a certain grey if it does not."""
+    """Return whether a file gives colours; otherwise the reader uses a known grey."""
     if piece.visual.kind in ("vertex", "face"):
         return True
     material = getattr(piece.visual, "material", None)

@@ -11,12 +11,12 @@ def crease_normals(
 ) -> Float[np.ndarray, "f 3 3"]:
     """Return the unit normal of every face corner, averaged over smoothly joined faces.
 
-    Two faces are smoothly joined where they share an edge, no third face does, and their normals
-    differ by at most `crease_rad`. A corner's normal is the mean over the faces round its vertex
-    that a chain of such edges reaches, weighted by face area times corner angle: the angle makes
-    the result independent of how a quad is cut in two, the area keeps large flat faces flat
-    beside a finely rounded edge (G. Thuermer & C. Wuethrich, "Computing vertex normals from
-    polygonal facets", J. Graphics Tools 3(1), 1998, with the area added).
+    Two faces are smoothly joined if they share an edge with no third face, and their normals differ
+    by at most `crease_rad`. A corner's normal is the mean over the faces around its vertex that a
+    chain of such edges reaches, weighted by face area times corner angle: the angle makes the
+    result independent of how a quad is cut in two, and the area keeps large flat faces flat next to
+    a finely rounded edge (G. Thuermer & C. Wuethrich, "Computing vertex normals from polygonal
+    facets", J. Graphics Tools 3(1), 1998, with the area added).
 
     Returns:
         Unit normals; a corner with no face of positive area in reach gets (0, 0, 1).
@@ -34,7 +34,7 @@ def crease_normals(
 def _smooth_groups(
     faces: Int[np.ndarray, "f 3"], face_normal: Float[np.ndarray, "f 3"], crease_rad: float
 ) -> Int[np.ndarray, " c"]:
-    """Return a label per corner (face major): equal where corners share one normal."""
+    """Return a label per corner (face major); corners with equal labels share one normal."""
     n = len(faces)
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()  # Edge i starts at corner i.
     low, high = np.minimum(start, end), np.maximum(start, end)

@@ -43,40 +43,39 @@ class Grain:
 class Material:
     """A surface in a few physical words.
 
-    `base_color` is linear RGB reflectance; where `texture` (8-bit sRGB, row 0 on top, mapped by
-    the mesh's uv with v up) is given it takes the colour's place. `metallic` 0 is a dielectric:
-    diffuse base under a clear rough coat whose normal reflectance is `0.08 * specular` (0.5 is
-    an index of 1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal
-    reflectance is the base colour.
-    `roughness` is perceptual: the GGX alpha is its square. Mirrors (below 0.01) are refused, since
-    the lenses that they would show are no objects. Where a `roughness_map` (8-bit, read as numbers,
-    mapped as a texture is) is given, it varies: 255 stands for `roughness`, 0 for none of it, and
-    nothing is smoother than 0.01. Grooves and what is transparent have no map.
+    `base_color` is linear RGB reflectance; where `texture` (8-bit sRGB, row 0 on top, mapped by the
+    mesh's uv with v up) is given, it replaces the colour. `metallic` 0 is a dielectric: diffuse
+    base under a clear rough coat whose normal reflectance is `0.08 * specular` (0.5 is an index of
+    1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal reflectance
+    is the base colour. `roughness` is perceptual: the GGX alpha is its square. Mirrors (below 0.01)
+    are refused, because they would show the lenses, which are not objects. With a `roughness_map`
+    (8-bit numbers, mapped like a texture) roughness varies: 255 means `roughness`, 0 means 0, and
+    no place is smoother than 0.01. Grooved and transparent materials have no map.
 
     `anisotropy` makes metal smoother along its `grain` and rougher across it, by Disney's aspect
     `a = sqrt(1 - 0.9 anisotropy)`: GGX has the alpha `roughness^2 a` along and `roughness^2 / a`
     across the grooves. Source: B. Burley, "Physically Based Shading at Disney", SIGGRAPH 2012.
 
-    `projector_reflectance` takes the place of colour and texture in the light of the measuring
-    camera, whose filter passes the projector's wavelength alone; None leaves it to the bands.
+    `projector_reflectance` replaces colour and texture for the measuring camera, whose filter
+    passes only the projector's wavelength; None keeps the bands' reflectance.
 
     A `transparent` material is clear glass or plastic with smooth surfaces: `roughness` is unused,
-    `specular` gives its index. Of light, `color_depth_m` of a `solid` leave `base_color` (Beer's
-    law); each pass through a `thin` wall, whose mesh has no thickness, does, whatever the angle.
-    `projector_reflectance` is that at the projector's wavelength.
+    `specular` gives its index. A `solid` transmits the share `base_color` over `color_depth_m`
+    (Beer's law), a `thin` wall, whose mesh has no thickness, at each pass, at any angle.
+    `projector_reflectance` is this share at the projector's wavelength.
 
-    `film` is the roughness of a clear film over metal, such as oil or lacquer, of the index that
-    `specular` gives. `base_color` is then the metal's reflectance in the film, less than in air.
+    `film` is the roughness of a clear film over metal, such as oil or lacquer, with the index from
+    `specular`. `base_color` is then the metal's reflectance in the film, less than in air.
 
     `diffuse` is the share of a metal's light that leaves in all directions by Lambert's law, since
     steep facets of a blasted surface or an oxide layer scatter it several times.
 
-    `mottle` is the relative standard deviation of the reflectance between places, as on a blasted,
+    `mottle` is the relative standard deviation of the reflectance between places, for a blasted,
     cast or rolled surface. The correlation is 1/e at the distance `mottle_length_m`. The mean is
     `base_color`, which must be at most `reflectance_limit`.
 
-    Leaves out: translucency, films over grooves, a map or scattering metal, anisotropic coats,
-    spectra finer than three bands and that one line.
+    Leaves out: translucency; films over grooves, maps or scattering metal; anisotropic coats;
+    spectra finer than three bands and the projector's wavelength.
     """
 
     base_color: Color = (0.5, 0.5, 0.5)
@@ -151,7 +150,7 @@ class Material:
         return 1 / (1 + MOTTLE_PEAK * self.mottle)
 
     def scaled(self, factor: float) -> "Material":
-        """Return the material for a mesh `factor` times as large: the lathe's axis moves."""
+        """Return the material for a mesh `factor` times as large; only the lathe's axis changes."""
         if self.grain is None:
             return self
         x, y, z = self.grain.point_m
@@ -214,7 +213,7 @@ class Material:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
-    """A triangle mesh [m], counter-clockwise seen from outside.
+    """A triangle mesh [m] with faces counter-clockwise seen from outside.
 
     uv and shading normals belong to face corners, so seams and sharp edges need no doubled
     vertices and a watertight mesh stays watertight. Without normals a mesh is shaded flat.
@@ -270,12 +269,12 @@ _END = np.cos(np.radians(20))  # A face whose normal is nearer to the grain need
 
 
 def corner_grain(mesh: Mesh, grain: Grain) -> Float[np.ndarray, "f 3 3"]:
-    """Return the direction of grooves at each face corner, of any length, not yet in the surface.
+    """Return the direction of grooves at each face corner, with any length, not yet in the surface.
 
-    Directions of a turned part are `axis x (corner - point)`: linear, so between the corners of a
-    face they are right, too. Faces nearly across the grain have another direction: ends of a
-    brushed part the axis x, y or z that lies furthest from the grain, and radial faces of a
-    turned part its axis.
+    On a turned part they are `axis x (corner - point)`, which is linear and so also right between
+    the corners of a face. Faces nearly across the grain have a different direction: the axis x, y
+    or z farthest from the grain on ends of a brushed part, and the axis on radial faces of a turned
+    part.
     """
     axis = np.array(grain.axis) / np.linalg.norm(grain.axis)
     corner_m = mesh.vertices_m[mesh.faces]
@@ -305,9 +304,9 @@ class Symmetry:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """One kind of part. `source` says where it came from, for datasets and error messages.
+    """One kind of part. `source` names its origin, for datasets and error messages.
 
-    A part that is not `labelled` is in the heap and hides others, but is not annotated.
+    A part that is not `labelled` is in the heap and hides other parts, but is not annotated.
     """
 
     name: str
@@ -332,7 +331,7 @@ class Part:
             )
 
     def scaled(self, factor: float) -> "Part":
-        """Return the same part `factor` times as large, of the same material."""
+        """Return the part `factor` times as large, with the same material."""
         vertices_m = self.mesh.vertices_m * factor
         discrete = tuple(np.array(motion) for motion in self.symmetry.discrete)
         for motion in discrete:
@@ -350,7 +349,7 @@ class Part:
 
 
 def glass_notes(parts: Iterable[Part]) -> tuple[str, ...]:
-    """Return a note for each part that is solid glass: its renders have too little light behind."""
+    """Return a note for each part of solid glass: renders have too little light behind the part."""
     return tuple(
         f"the part {part.name} is solid glass: the projector's light does not reach what the "
         "camera sees through it, so there is no depth behind; docs/explanation/limits.md has the "

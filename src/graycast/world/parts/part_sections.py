@@ -1,4 +1,4 @@
-"""Settings of a part, and the value that they stand for."""
+"""Settings of a part, and the part that they describe."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -77,7 +77,7 @@ class SymmetrySection(Settings):
 
 
 class PartSection(Settings):
-    """A kind of part: one of the built-in ones, or a mesh file of your own."""
+    """A kind of part: a built-in part, or a mesh file of your own."""
 
     builtin: str | None = Field(
         default=None, description=f"The built-in part: one of {', '.join(BUILTIN)}."

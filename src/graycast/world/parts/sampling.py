@@ -15,10 +15,10 @@ _PLASTIC = 1.32471795724474602596
 def surface_points(
     mesh: Mesh, step_m: float, *, most: int
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Return points on the surface about `step_m` apart, and the faces' outward normals there.
+    """Return surface points about `step_m` apart, and the faces' outward normals there.
 
-    Each new point is the candidate farthest from all before it, until none is farther than the
-    step or there are `most`: the spacing is then wider, and as even. No chance is involved.
+    Each new point is the candidate farthest from all earlier points, until no candidate is farther
+    than the step, or there are `most` points (then the spacing is wider). It is not random.
 
     Source: Y. Eldar et al., "The farthest point strategy for progressive image sampling", 1997.
     """
@@ -32,7 +32,7 @@ def surface_points(
 def dense_points(
     mesh: Mesh, step_m: float, *, most: int
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Return points faster than `surface_points`, with more scatter: `step_m` apart in the mean."""
+    """Return points faster than `surface_points`, with uneven spacing of `step_m` on average."""
     area_m2 = float(mesh.face_area_m2.sum())
     return spread_points(mesh, int(np.clip(area_m2 / step_m**2, 200, most)))
 
@@ -46,7 +46,7 @@ def spread_points(
 
 
 def _candidates(mesh: Mesh, area: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Equal shares of the area in the order of the faces, at even places within each face."""
+    """Return points at equal steps of area in the order of the faces, and even within each face."""
     total = np.cumsum(area)
     place = (np.arange(count) + 0.5) / count * total[-1]
     face = np.searchsorted(total, place).clip(0, len(area) - 1)

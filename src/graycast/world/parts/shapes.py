@@ -1,7 +1,6 @@
-"""Solids that the built-in parts are made of: revolved, lofted, boxes with rounded edges.
+"""Solids for the built-in parts: revolved and lofted ones, and boxes with rounded edges.
 
-Every function returns a closed surface, counter-clockwise seen from outside, in the unit it is
-given.
+Every shape is a closed surface, counter-clockwise seen from outside, in the unit of the input.
 """
 
 from collections.abc import Mapping
@@ -27,7 +26,7 @@ Surface = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
 
 
 def revolve(profile: Float[np.ndarray, "p 2"], segments: int) -> Surface:
-    """A closed profile (r, z), counter-clockwise and with r > 0, turned once round the z axis."""
+    """Turn a closed profile (r, z), counter-clockwise and with r > 0, once around the z axis."""
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     xy = profile[:, None, :1] * ring
@@ -37,7 +36,7 @@ def revolve(profile: Float[np.ndarray, "p 2"], segments: int) -> Surface:
 
 
 def loft(sections: Float[np.ndarray, "s n 3"]) -> Surface:
-    """A skin over sections from bottom to top, counter-clockwise from above, with flat ends."""
+    """Return a skin over sections, bottom to top, counter-clockwise from above, with flat ends."""
     s, n = sections.shape[:2]
     ends = sections[[0, -1]].mean(axis=1)
     vertices = np.concatenate([sections.reshape(-1, 3), ends])
@@ -49,7 +48,7 @@ def loft(sections: Float[np.ndarray, "s n 3"]) -> Surface:
 
 
 def _band(rows: int, columns: int, *, closed: bool) -> Int[np.ndarray, "f 3"]:
-    """Two triangles per cell of a grid of vertices that is round along its columns."""
+    """Return two triangles per cell of a grid of vertices that is closed along its columns."""
     grid = np.meshgrid(np.arange(rows if closed else rows - 1), np.arange(columns), indexing="ij")
     i, a = (place.ravel() for place in grid)
     j, b = (i + 1) % rows, (a + 1) % columns
@@ -72,12 +71,12 @@ def superellipse(
 def rounded_box(
     size: tuple[float, float, float], radius: float, steps: int
 ) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"], tuple[str, ...]]:
-    """A box centred on the origin whose edges are rounded; half of each edge goes to each panel.
+    """Return a centred box with rounded edges; half of each edge belongs to each panel.
 
     Args:
         size: outer lengths along x, y and z.
-        radius: of the rounded edges.
-        steps: facets from the flat face to the middle of an edge.
+        radius: radius of the rounded edges.
+        steps: number of facets from the flat face to the middle of an edge.
 
     Returns:
         vertices, faces, and the panel (of `PANELS`) that each face belongs to.
@@ -115,7 +114,7 @@ def _cube_grid(
     up: Int[np.ndarray, "3"],
     count: int,
 ) -> Int[np.ndarray, "n 3"]:
-    """Grid coordinates on the cube of steps i to the right and j up on one panel."""
+    """Return the cube's grid coordinates for steps i to the right and j up on one panel."""
     normal = np.cross(right, up)
     # Twice the coordinate less the end, so that each axis runs symmetrically round 0.
     end = count - 1

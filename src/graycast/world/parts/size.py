@@ -1,4 +1,4 @@
-"""Weight of a part, and a check that size and weight suit a part in a bin."""
+"""The mass of a part, and checks that its size and mass suit a part in a bin."""
 
 from collections.abc import Iterable
 
@@ -38,7 +38,7 @@ def mass_text(part: Part) -> str:
 
 
 def unusual_size_note(part: Part) -> str:
-    """Return a remark on a part that is shorter or longer than parts in bins are; else nothing."""
+    """Return a remark on a part that is unusually short or long for a part in a bin, else ""."""
     low_m, high_m = USUAL_M
     longest_m = float(part.mesh.extent_m.max())
     if low_m <= longest_m <= high_m:
@@ -55,9 +55,9 @@ def full_count(part: Part, inner_m: tuple[float, float, float]) -> float:
 
 
 def size_notes(parts: Iterable[Part], inner_m: tuple[float, float, float]) -> tuple[str, ...]:
-    """Notes on parts that are longer than the bin's inner diagonal, or implausibly heavy.
+    """Return notes on parts that are longer than the bin's inner diagonal, or implausibly heavy.
 
-    Both mostly come from a wrong `unit` of a mesh, which no file of meshes states.
+    The usual cause is a wrong `unit`, which most mesh files do not state.
     """
     room_m = float(np.linalg.norm(inner_m))
     notes = []

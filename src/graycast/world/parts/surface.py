@@ -1,4 +1,4 @@
-"""Surfaces as read from files, the checks that they are closed, and the solids they enclose."""
+"""Surfaces read from files, checks that they are closed, and the solids that they enclose."""
 
 from dataclasses import dataclass, replace
 
@@ -15,7 +15,7 @@ _MERGE = 1e-6  # Vertices closer than this share of the longest side are one: fl
 
 
 class Refusal(Exception):
-    """A file cannot be a part; the text states why and the remedy, without the file's name."""
+    """An error for a file that cannot be a part: reason and remedy, without the file's name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +106,7 @@ def _distinct(
 ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " n"]]:
     """Return the first index of each distinct row, in sorted order, and the group of each row.
 
-    It is `np.unique` with `axis=0`, in a tenth of its time.
+    It does the same as `np.unique` with `axis=0`, in a tenth of the time.
     """
     order = np.lexsort(rows.T[::-1])  # a stable sort, by the first column first
     new = np.ones(len(rows), dtype=bool)
@@ -147,7 +147,7 @@ def judge(surface: RawMesh, findings: list[str]) -> None:
 
 
 def as_solid(surface: RawMesh, findings: list[str]) -> RawMesh:
-    """Return the surface of one solid: of bodies that overlap, that of their union."""
+    """Return the surface as that of one solid; overlapping bodies become their union."""
     outward, inward = shells_of(surface.vertices, surface.faces)
     joined = union_if_overlapping(outward, inward)
     if len(outward) > 1:
@@ -173,7 +173,7 @@ def manifold_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"
 
 
 def surface_of(solid: Manifold) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Return vertices and faces."""
+    """Return a solid's vertices and faces."""
     mesh = solid.to_mesh64()
     return np.array(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts).astype(np.int64)
 
@@ -183,7 +183,7 @@ def shells_of(
 ) -> tuple[tuple[Manifold, ...], tuple[Manifold, ...]]:
     """Return a closed mesh's shells that face outwards, and those that face inwards.
 
-    Bodies that share no more than a vertex or an edge are shells of their own.
+    Bodies that share only a vertex or an edge are separate shells.
 
     Raises:
         Refusal: the surface is not closed, or crosses itself in a way that has no inside.
@@ -200,7 +200,7 @@ def shells_of(
 
 
 def separate(whole: Manifold) -> tuple[Manifold, ...]:
-    """Return the shells of a solid. (The library's own way takes the square of their number.)"""
+    """Return the shells of a solid; the library's own function takes quadratic time."""
     vertices, faces = surface_of(whole)
     links = (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()))
     count, label = connected_components(
@@ -224,16 +224,16 @@ def separate(whole: Manifold) -> tuple[Manifold, ...]:
 def union_if_overlapping(
     outward: tuple[Manifold, ...], inward: tuple[Manifold, ...]
 ) -> tuple[Manifold, float] | None:
-    """Return the union of overlapping bodies, and the share of volume that would count twice.
+    """Return the union of overlapping bodies, and the share of volume that they have in common.
 
     A shell that faces inwards is a cavity of the smallest body whose box holds its own.
 
     Returns:
-        None where no two bodies share more than `TOUCHING` of the whole: the mesh is right as
-        it is.
+        None if no two bodies share more than `TOUCHING` of the whole volume: the mesh needs no
+        union.
 
     Raises:
-        Refusal: a shell that faces inwards lies in no other.
+        Refusal: a shell that faces inwards is not inside a body.
     """
     order = sorted(range(len(outward)), key=lambda i: outward[i].volume())
     cavities: list[list[Manifold]] = [[] for _ in outward]
@@ -261,7 +261,7 @@ def union_if_overlapping(
 
 
 def _hollow(body: Manifold, holes: list[Manifold]) -> Manifold:
-    """Return a body and its cavities, whose faces look into them, as one solid."""
+    """Return a body and its cavities, whose faces point into the cavities, as one solid."""
     vertices, faces = zip(*map(surface_of, (body, *holes)), strict=True)
     starts = np.cumsum([0] + [len(corners) for corners in vertices])[:-1]
     moved = [own + start for own, start in zip(faces, starts, strict=True)]

@@ -1,4 +1,4 @@
-"""Symmetries as sets of rigid motions, and the detection of the symmetry of a shape."""
+"""Symmetries as sets of rigid motions, and the detection of a shape's symmetry."""
 
 from collections.abc import Iterable
 from itertools import permutations, product
@@ -27,9 +27,9 @@ AXIS_WEIGHT = (3.0, 2.0, 1.0)
 def motions(symmetry: Symmetry) -> Float[np.ndarray, "n 4 4"]:
     """Return all motions of a symmetry, the identity first; continuous ones in equal steps.
 
-    A continuous symmetry is taken in `ceil(pi / STEP)` turns, so that a point on the rim of the
-    diameter, at half a diameter from the axis, moves by at most `2 * STEP * diameter / 2` from one
-    turn to the next. Discrete motions and turns are combined.
+    A continuous symmetry becomes `ceil(pi / STEP)` turns, so that a point at half a diameter from
+    the axis moves by at most `2 * STEP * diameter / 2` from one turn to the next. Discrete motions
+    and turns are combined.
 
     Source: T. Hodan et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2020, and the
     `max_sym_disc_step` of 0.01 stated there (section 2.3).
@@ -49,12 +49,12 @@ def nearest_member(
 ) -> Float[np.ndarray, "4 4"]:
     """Return, among all poses that look the same, the one nearest to a reference orientation.
 
-    With the motions S of the symmetry it is the T S that makes `trace(W.T R)` greatest, where R is
-    its rotation. For W = the reference's rotation this is the least angle between both. Without a
-    reference W is `diag(AXIS_WEIGHT)`: the part's axes are to point along the frame's.
+    Of all motions S of the symmetry, the T S with the rotation R of greatest `trace(W.T R)` is
+    taken. If W is the reference's rotation, this gives the least angle to it. Without a reference W
+    is `diag(AXIS_WEIGHT)`, so the part's axes point along the frame's.
 
-    Leaves out: continuous axes after the first, which only a ball has. Where two members are
-    equally near, noise chooses; without a reference such poses are rare ones between two sides.
+    Leaves out: continuous axes after the first, which only a ball has. If two poses are equally
+    near, noise decides; without a reference, this happens only in rare poses.
 
     Args:
         near: a pose of the same part in the same frame, such as the previous one.
@@ -88,11 +88,10 @@ def _best_turn(
 
 
 def shape_symmetry(mesh: Mesh) -> Symmetry:
-    """Return the proper rotations that leave a shape as it is, its print and colour aside.
+    """Return the proper rotations that leave a shape unchanged; print and colour are ignored.
 
-    Axes through the middle of the bounding box are tried: those of the box, and those that
-    halve the angles between them. What else a shape may have (an axis that is neither) is not
-    found.
+    Axes through the middle of the bounding box are tried: the axes of the box, and those that halve
+    the angles between the box's axes. Symmetry about other axes is not detected.
 
     Returns:
         One continuous axis and the half turns that reverse it, or the discrete rotations.
@@ -132,10 +131,10 @@ def turns_together(
     """Return all motions except the identity that combinations of turns make.
 
     Args:
-        turns: of each the axis, a point on it [m], and how many of them make a full circle.
+        turns: for each turn the axis, a point on it [m], and the number of turns in a circle.
 
     Raises:
-        ValueError: they make more than `MOST_MOTIONS`; axes that miss each other never end.
+        ValueError: there are more than `MOST_MOTIONS`, for example because axes do not intersect.
     """
     steps = [
         _turn(np.array(axis), np.array(point_m), 2 * np.pi / fold) for axis, point_m, fold in turns
@@ -157,7 +156,7 @@ def turns_together(
 def joined(first: Symmetry, second: Symmetry) -> Symmetry:
     """Join two symmetries; the second's continuous axes apply only if the first has none.
 
-    A body has one motion at most for each rotation, so motions are told apart by that alone.
+    A body has at most one motion for each rotation, so motions are compared by rotation alone.
     """
     both = [*first.discrete]
     for T in second.discrete:
@@ -167,7 +166,7 @@ def joined(first: Symmetry, second: Symmetry) -> Symmetry:
 
 
 def _candidates(middle: Float[np.ndarray, "3"]):
-    """Turns about the box's axes, and all rotations that permute them."""
+    """Return turns about the box's axes, and all rotations that permute these axes."""
     for axis, fold in product(np.eye(3), FOLDS):
         for k in range(1, fold):
             yield _turn(axis, middle, 2 * np.pi * k / fold)

@@ -1,4 +1,4 @@
-"""A wood of our own making for bins: growth rings cut lengthwise, with fine grain."""
+"""A computed wood texture for bins: growth rings cut lengthwise, with fine grain."""
 
 from functools import cache
 

@@ -52,7 +52,7 @@ def _compiled(folder: Path) -> str:
 
 
 def _words(optics: dict[str, Any]) -> dict[str, float]:
-    """Return the shader's parameters."""
+    """Return the lens shader's parameters."""
     words = {name: optics[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px", "psf_px")}
     words |= dict(zip(("k1", "k2", "p1", "p2", "k3"), optics["distortion"], strict=True))
     words["sensed"] = optics["fill_factor"] ** 0.5

@@ -101,7 +101,7 @@ def _for_kind(
 
 
 def _set_samples(cycles: Any, count: int | None) -> None:
-    """Use `count` samples of Cycles' sequence without the first one; None is only the first one.
+    """Use `count` samples of Cycles' sequence after the first one; None uses only the first one.
 
     The first sample is always the exact centre of the pixel. As one of n samples, it would bias a
     pixel at an edge by 1 / n. A run of samples that starts at a power of two is well distributed.

@@ -2,7 +2,7 @@
 
 Cycles samples a point of the lens and evaluates the light from it towards the lit point. That ray
 crosses the plane in focus at one point, and comes from the pixel whose image is there. This is a
-thin lens with exact blur, also where half of the lens, and so half of the stripes, is hidden. A
+thin lens with exact blur, even if half of the lens, and so half of the stripes, is hidden. A
 pinhole is a lens with a single point.
 """
 

@@ -21,7 +21,7 @@ class World:
         self.sky = self._sky(job["environment"])
 
     def show(self, what: str, *, ambient: bool) -> None:
-        """Show light, or a quantity instead of all materials; see `Surface`."""
+        """Show light, or show a quantity in place of all materials; see `Surface`."""
         for surface in self.surfaces:
             surface.show(what, glowing=ambient)
         self.scene.world = self.sky if ambient else None

@@ -1,12 +1,12 @@
 """Convex decomposition: a part's mesh as a few convex hulls for the physics engine.
 
-The hulls follow the part's outer surface within a tolerance (`tolerance_m`): no point of them lies
-farther outside the part, so a hole stays open, and no point of the surface farther outside all of
-them. What cannot be reached from outside, a cavity, is filled.
+The hulls follow the part's outer surface within a tolerance (`tolerance_m`): no point of a hull is
+farther outside the part, so holes stay open, and no point of the surface is farther outside all
+hulls. Cavities, which cannot be reached from outside, are filled.
 
-`solid` reads the mesh, `error` measures, `cutting` takes it apart, `mesh_hulls` makes hulls of the
-pieces and joins those that may be one; `hull_process` does all that in processes that can be ended,
-and `hull_store` keeps the results.
+`solid` reads the mesh, `error` measures the hulls, `cutting` cuts the mesh, `mesh_hulls` makes
+hulls of the pieces and joins hulls where possible, `hull_process` does all of this in processes
+that can be ended, and `hull_store` keeps the results.
 """
 
 from .error import Decomposition, measure, tolerance_m

@@ -1,4 +1,4 @@
-"""Hulls as files: between runs, and between processes."""
+"""Files that keep hulls between runs and pass them between processes."""
 
 import zipfile
 from pathlib import Path

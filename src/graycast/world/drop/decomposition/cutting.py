@@ -1,13 +1,13 @@
 """Cutting of a solid into pieces that are convex within a tolerance.
 
-First along its own flat faces: a head leaves its shank whole, a plate its flange, and the hulls'
-vertices are the mesh's own. Then what is round about an axis, like an orange. What neither does is
-cut by the best of many planes, until every piece's hull follows the body.
+First the solid is cut along its own flat faces: a bolt's head comes off whole, and the hulls keep
+the mesh's vertices. Then round pieces are cut into wedges, like an orange. The rest is cut by the
+best of many planes, until every piece's hull follows the body.
 
 Leaves out: looking more than one cut ahead, as the search of CoACD does (Wei et al., "Approximate
 Convex Decomposition for 3D Meshes with Collision-Aware Concavity and Tree Search", SIGGRAPH 2022).
-On the zoo of parts the hulls are as few, exact where parts are made of convex ones, and kept to a
-bound, which CoACD's are not.
+On the test parts there are no more hulls than CoACD's, hulls of parts made of convex pieces are
+exact, and the error has a bound, unlike CoACD's.
 """
 
 from collections.abc import Iterable, Iterator
@@ -43,7 +43,7 @@ Plane = tuple[Float[np.ndarray, "3"], float]
 
 
 class Cutter:
-    """Cuts one body; `limit_m` is how far a piece's hull may reach out of the body."""
+    """A cutter for one body; `limit_m` is how far a piece's hull may reach out of the body."""
 
     def __init__(self, body: Manifold, limit_m: float) -> None:
         self._body, self.limit_m, self._thin_m = body, limit_m, THIN * limit_m
@@ -84,12 +84,12 @@ class Cutter:
                 yield piece
 
     def _deepest(self, piece: Manifold) -> Float[np.ndarray, "3"]:
-        """Return the point of the piece's hull that is about the farthest out of the body."""
+        """Return the point of the piece's hull that is about the farthest from the body."""
         point = spread(piece.hull() - self._body, LID_SAMPLES)[0]
         return point[self._surface.tree.query(point)[0].argmax()]
 
     def _wedges(self, piece: Manifold) -> list[Manifold]:
-        """Cut a round piece into the fewest wedges that fit; none if it is not round."""
+        """Cut a round piece into the fewest wedges that fit; return [] for other pieces."""
         center, axes, moments = _principal(piece)  # The moments are in ascending order.
         lower, upper = moments[1] - moments[0], moments[2] - moments[1]
         if min(lower, upper) > ROUND * moments[2]:
@@ -114,8 +114,8 @@ def _filling(piece: Manifold) -> float:
 def _split(piece: Manifold, plane: Plane, thin_m: float) -> list[Manifold]:
     """Return the parts on both sides of a plane.
 
-    A face that lies in the plane would stay with the part beyond as a sheet without thickness, and
-    widen its hull. So each side is cut a hair off the plane.
+    A face in the plane would remain on the other part as a sheet without thickness, and widen that
+    part's hull. So each side is cut slightly off the plane.
     """
     normal, offset = plane
     hair_m = HAIR * thin_m
@@ -130,7 +130,7 @@ def _parts(piece: Manifold, thin_m: float) -> list[Manifold]:
 
 
 def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
-    """Cut along the flat face that leaves least to fill; return no parts if it gains little."""
+    """Cut along the flat face that leaves least to fill; return no parts if the gain is small."""
     filling = _filling(piece)
     parts, left = _best_cut(piece, _faces_at_bends(piece), filling, even=0.0, thin_m=thin_m)
     return parts if left < (1 - WORTH) * filling else []
@@ -139,7 +139,7 @@ def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
 def _cut_anywhere(
     piece: Manifold, deepest: Float[np.ndarray, "3"], thin_m: float
 ) -> list[Manifold]:
-    """Cut by the best of many planes, however small the gain; return no parts if none cuts."""
+    """Cut by the best of many planes, even for a small gain; return no parts if no plane cuts."""
     planes = chain(_planes_across(piece, deepest), _faces_at_bends(piece))
     parts, _ = _best_cut(piece, planes, _filling(piece), even=EVEN, thin_m=thin_m)
     return parts
@@ -150,8 +150,8 @@ def _best_cut(
 ) -> tuple[list[Manifold], float]:
     """Return the parts with the least left to fill, and the volume left.
 
-    If planes leave about as much, one with few parts of even size and a small cut is chosen. So a
-    plate is not split into two thinner ones with the same holes.
+    If planes leave about the same volume, a plane with few parts of even size and a small cut wins.
+    So a plate is not split into two thinner ones with the same holes.
     """
     best, least, left = [], np.inf, np.inf
     for plane in planes:
@@ -168,7 +168,7 @@ def _best_cut(
 
 
 def _planes_across(piece: Manifold, deepest: Float[np.ndarray, "3"]) -> Iterator[Plane]:
-    """Yield planes across the principal axes: through the middle, the deepest point, others."""
+    """Yield planes across the principal axes, first through the middle and the deepest point."""
     vertices, _ = surface_of(piece)
     center, axes, _ = _principal(piece)
     for axis in axes.T:
@@ -234,7 +234,7 @@ def _fan(
     count: int,
     thin_m: float,
 ) -> Iterator[Manifold]:
-    """Yield wedges of one angle about an axis; the first cut goes through the farthest vertex."""
+    """Yield wedges of equal angle about an axis; the first cut goes through the farthest vertex."""
     vertices, _ = surface_of(piece)
     across = vertices - point
     across = across - np.outer(across @ axis, axis)

@@ -1,7 +1,7 @@
 """The distance between convex hulls and the surface that they approximate.
 
-The hulls' union must lie within the part grown by the error (nothing is filled that a thing of
-that size could enter), and must reach to the surface within it (no corner is lost).
+The hulls' union may reach out of the part by at most the error (so gaps that are wider than twice
+the error stay open), and may miss the surface by at most the error (no corner is lost).
 """
 
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ _NOTHING = 1e-4  # A filling whose mean thickness is a smaller share of the tole
 
 
 def tolerance_m(mesh: Mesh) -> float:
-    """Return how far the hulls' union may be from the surface, for the size of the mesh [m].
+    """Return how far the hulls' union may be from the surface, by the mesh's size [m].
 
-    The size is the diagonal of the bounding box.
+    The size is the bounding box's diagonal.
 
-    0.5 mm up to 50 mm, then 1 % of it up to 1 mm at 100 mm, and 0.5 % of it beyond 200 mm.
+    0.5 mm up to a size of 50 mm, 1 % of it up to 100 mm, 1 mm up to 200 mm, and then 0.5 % of it.
     """
     diagonal_m = float(np.linalg.norm(mesh.extent_m))
     share, most_m = MIDDLE_TOLERANCE
@@ -53,16 +53,16 @@ class MeshSamples:
     tree: cKDTree
 
     def farthest_m(self, point: Float[np.ndarray, "m 3"]) -> float:
-        """Return the largest distance to the surface; 0 of no points.
+        """Return the largest distance to the surface; 0 without points.
 
-        It is that to the triangles of the `NEAR` nearest samples: exact, or a little too large.
+        Only the triangles of the `NEAR` nearest samples count, so it may be a little too large.
         """
         return self._farthest_m(point, self.tree.query(point)[0])
 
     def outside_m(self, point: Float[np.ndarray, "m 3"]) -> float:
-        """Return the largest distance of the points that are certainly outside; 0 if there is none.
+        """Return the largest distance of points that are certainly outside; 0 if no point is.
 
-        A point is certainly outside if it is in front of the nearest sample's triangle, not
+        A point is certainly outside if it is in front of the nearest sample's triangle rather than
         beside it.
         """
         apart, near = self.tree.query(point)
@@ -86,7 +86,7 @@ class MeshSamples:
 
 
 def surface_samples(solid: Manifold) -> MeshSamples:
-    """Return a surface with samples to find its triangles by."""
+    """Return a surface with samples that help to find the nearest triangles."""
     point, face, corner = spread(solid, SAMPLES)
     cross = _cross(corner)
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), np.finfo(float).tiny)
@@ -96,7 +96,7 @@ def surface_samples(solid: Manifold) -> MeshSamples:
 def spread(
     solid: Manifold, count: int
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, "f 3 3"]]:
-    """Return random points by area with the triangles' middles, their triangles, all triangles.
+    """Return points (random by area, and triangles' middles), their triangles, and all triangles.
 
     The random numbers are fixed, so the result is a function of the solid alone.
     """
@@ -115,7 +115,7 @@ def spread(
 
 
 def filled_m(hull: Manifold, solid: Manifold, surface: MeshSamples) -> float:
-    """Return how far a hull reaches out of a solid: the largest distance from its surface [m]."""
+    """Return how far a hull reaches out of a solid: its largest distance outside it [m]."""
     filling = hull - solid
     if filling.is_empty():
         return 0.0
@@ -127,9 +127,9 @@ def filled_m(hull: Manifold, solid: Manifold, surface: MeshSamples) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decomposition:
-    """A mesh's hulls, how near to its surface they are, and how near they should be [m].
+    """A mesh's hulls, their errors, and their tolerance [m].
 
-    `filled_m` is how far hulls reach out of the part, `lost_m` its surface out of all hulls.
+    `filled_m` is how far hulls reach out of the part, `lost_m` how far its surface leaves them.
     """
 
     hulls: tuple[Hull, ...]
@@ -148,7 +148,7 @@ class Decomposition:
 
 
 def measure(mesh: Mesh, hulls: tuple[Hull, ...]) -> Decomposition:
-    """Hulls with their largest error outside and inside the mesh."""
+    """Return hulls with their largest errors outside and inside the mesh."""
     solid = Manifold.batch_boolean(bodies_of(mesh), OpType.Add)
     surface = surface_samples(solid)
     filled = max(filled_m(Manifold.hull_points(corners), solid, surface) for corners, _ in hulls)
@@ -172,7 +172,7 @@ def _nearest_m(point, faces, corner):
     """Return the distance of each point to the nearest of its faces.
 
     Source: Ericson, "Real-Time Collision Detection", 2005, section 5.1.5 (the regions of a
-    triangle, told apart by barycentric coordinates).
+    triangle, by barycentric coordinates).
     """
     nearest = np.empty(len(point))
     for i in range(len(point)):

@@ -1,4 +1,4 @@
-"""Decomposition in processes of their own, which can be ended at any moment.
+"""Decomposition in child processes, which can be ended at any moment.
 
 The libraries do not react to Ctrl-C while they work, and a part with many faces takes long. The
 parent therefore waits, and can kill its children. Files carry the mesh to a child and the hulls
@@ -35,16 +35,16 @@ _LOG_LINES = 5
 def decompose_apart(
     jobs: Iterable[tuple[str, Part]],
 ) -> Generator[tuple[str, str | Decomposition], None, None]:
-    """`decompose` and `measure` of each mesh in a child process, one child per processor.
+    """Decompose and measure each mesh in a child process, one child per processor.
 
-    One thread follows all children, so that an exception in it ends them all. A caller that may
-    stop early closes this iterator, which ends them too.
+    One thread follows all children, so an exception in that thread ends all children. A caller that
+    may stop early must close this iterator, which ends the children too.
 
     Args:
-        jobs: a key and a part; taken as children start.
+        jobs: pairs of a key and a part; each is read when its child starts.
 
     Yields:
-        The key with each stage of its child, and at last with the result.
+        The key with each stage of its child, and finally with the result.
 
     Raises:
         ValueError: a mesh cannot be decomposed.
@@ -93,7 +93,7 @@ class _Child:
 
 @contextmanager
 def _started(part: Part) -> Iterator[_Child]:
-    """Yield a child that decomposes the part's mesh, and ends with this context however it ends."""
+    """Yield a child that decomposes the part's mesh; the child ends when this context ends."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="graycast-hulls-")))
         mesh_file, hull_file = folder / "mesh.npz", folder / "hulls.npz"

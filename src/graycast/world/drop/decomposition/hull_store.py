@@ -1,4 +1,4 @@
-"""The hulls of meshes, made once and kept."""
+"""A store of hulls, which are made once per mesh and kept."""
 
 import hashlib
 from collections.abc import Iterable, Iterator
@@ -35,23 +35,23 @@ def prepare(
 ) -> tuple[Decomposition, ...]:
     """Return the convex hulls of each part, whose union is its mesh within `tolerance_m(mesh)`.
 
-    Those that the cache lacks are made, those of equal meshes once: a mesh that is convex within
-    the tolerance has one hull, and others are cut by one child process per processor, which ends
-    with this call. Cavities are filled. A body of so much detail that it would take too many pieces
-    or too long (`mesh_hulls.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, as `progress`
-    hears; what came of it is measured, and the result says whether it is `coarse`. Hulls are a
-    function of the mesh alone, in its frame.
+    Hulls that the cache lacks are made, once for equal meshes: a mesh that is convex within the
+    tolerance has one hull, and other meshes are cut by child processes, one per processor, which
+    end with this call. Cavities are filled. A body of so much detail that it would take too many
+    pieces or too long (`mesh_hulls.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, which
+    `progress` reports; its error is measured, and the result says whether it is `coarse`. Hulls are
+    a function of the mesh alone, in its frame.
 
     Args:
-        parts: their meshes are closed, as `parts` delivers them.
-        hull_folder: the disk cache; the user's if None. A file that is damaged or of another mesh,
-            version or setting is made anew, and appears at once or not at all. Where the folder
-            cannot be written, nothing is kept.
-        progress: hears the number of kinds that are ready, or, while the last one is made, what is
-            being done.
+        parts: parts with closed meshes, such as the room `parts` returns.
+        hull_folder: the disk cache; the user's if None. A damaged file, or a file for a different
+            mesh, version or setting, is replaced in one step. If the folder cannot be written,
+            nothing is kept.
+        progress: called with the number of kinds that are ready, or, during the last kind, with the
+            current stage.
 
     Raises:
-        ValueError: a mesh is not closed, or inside out; of the kind that fails first.
+        ValueError: a mesh is not closed, or inside out; the first kind that fails is named.
         GraycastError: a child was killed.
     """
     folder, parts = hull_folder or cache_folder("hulls"), tuple(parts)
@@ -89,7 +89,7 @@ def prepare(
 
 
 def _key(mesh: Mesh) -> str:
-    """Return a name for the result: everything it depends on."""
+    """Return a cache key, which covers everything that the result depends on."""
     digest = hashlib.sha256(repr((CACHE_VERSION, version("manifold3d"), _SETTINGS)).encode())
     for array in (mesh.vertices_m.astype("<f8"), mesh.faces.astype("<i8")):
         digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())

@@ -28,7 +28,7 @@ _PROGRESS_EACH = 25  # Progress is reported after each group of this many pieces
 
 
 def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull, ...]:
-    """Return the hulls of `prepare`, not measured, made in this process.
+    """Return the hulls for `prepare`, made in this process and not yet measured.
 
     Raises:
         ValueError: the mesh is not closed, or inside out.
@@ -47,7 +47,7 @@ def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull,
 
 
 def _pieces(cutter: Cutter, body: Manifold, of: str, progress: ProgressMeter) -> list[Manifold]:
-    """Return hulls of the pieces; none if there are too many, or it takes too long."""
+    """Return hulls of the pieces; return [] if there are too many or cutting takes too long."""
     pieces: list[Manifold] = []
     for piece in cutter.pieces():
         if len(pieces) == MOST_PIECES or cutter.worked > MOST_FACES_CUT:
@@ -88,9 +88,9 @@ def _hulls_of(whole: Manifold, tolerance: float, of: str, progress: ProgressMete
 
 
 def _joined(hulls: list[Points], cutter: Cutter) -> list[Points]:
-    """Replace pairs of hulls by their common hull, the least harmful first, within the tolerance.
+    """Join pairs of hulls within the tolerance; the pair that adds the smallest error comes first.
 
-    The time of a drop grows with the number of hulls, and cuts leave more of them than are needed.
+    The time of a drop grows with the number of hulls, and cuts leave more hulls than needed.
     """
     alive = dict(enumerate(hulls))
     waiting: list[tuple[float, int, int]] = []
@@ -123,7 +123,7 @@ def _joined(hulls: list[Points], cutter: Cutter) -> list[Points]:
 
 
 def _near(others: list[Points], one: Points, gap_m: float) -> Int[np.ndarray, " n"]:
-    """Return the indices of hulls whose bounding boxes are within a gap of that of one hull."""
+    """Return the indices of hulls whose bounding boxes are within a gap of one hull's box."""
     if not others:
         return np.empty(0, dtype=np.int64)
     low = np.array([points.min(axis=0) for points in others])

@@ -23,7 +23,7 @@ _PLANE_DECIMALS = 12  # Planes [m] that differ less are one: they are of coplana
 def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
     """Return the separate bodies of a closed mesh, largest first, with cavities filled.
 
-    Bodies that overlap or touch along a face become one; what lies inside another is none.
+    Bodies that overlap or touch along a face become one; a body inside another is left out.
 
     Raises:
         ValueError: the mesh is not closed.
@@ -44,7 +44,7 @@ def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
 
     The new vertices are a subset of the old ones.
 
-    That is 0.1 of the tolerance, up to 0.3 where more than `ENOUGH_FACES` would be left.
+    It moves by 0.1 of the tolerance, or up to 0.3 if more than `ENOUGH_FACES` would remain.
     """
     fewer, moved_m = body, 0.0
     for share in SIMPLIFIED_BY:
@@ -70,7 +70,7 @@ def hull_of(vertices: Float[np.ndarray, "v 3"]) -> Hull:
 def height_m(
     point: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the largest signed distance to the planes of the vertices' hull; negative inside."""
+    """Return each point's largest signed distance to the planes of a hull; negative inside."""
     plane = _planes(vertices)
     return (point @ plane[:, :3].T + plane[:, 3]).max(axis=1)
 
@@ -82,8 +82,8 @@ def _planes(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "p 4"]:
 def thinned(vertices: Float[np.ndarray, "v 3"], limit_m: float) -> Float[np.ndarray, "k 3"]:
     """Return a subset of vertices whose hull leaves no other vertex farther outside than the limit.
 
-    The engine's cost grows with each vertex. The farthest one outside of each face is added until
-    none is outside.
+    The engine's cost grows with each vertex. The farthest vertex outside each face is added until
+    no vertex is outside.
     """
     directions = np.array(list(product((-1, 0, 1), repeat=3)))
     subset = np.unique((vertices @ directions.T).argmax(axis=0))

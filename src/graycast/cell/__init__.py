@@ -1,4 +1,4 @@
-"""From a configuration in YAML to a scene, and to a dataset of many.
+"""From a configuration in YAML to a scene, and to a dataset of many scenes.
 
 Each imports only from those above it:
 
@@ -8,7 +8,7 @@ Each imports only from those above it:
     stored_bin       the bin of a stored dataset
     framing          how much of a picture a bin and a part cover; the scanner that fits a bin
     new_cell         a commented configuration for one part
-    resolve          a configuration with all its files read, shared by all scenes
+    resolve a configuration with its files' contents, shared by all scenes
     metering         the region of a picture from which a scanner meters its exposure
     simulate         one scene, from its seeds (`base.streams`) to its sample
     remedies         other settings that give the parts more depth, tried on the light of a scene

@@ -99,7 +99,7 @@ class LightSection(Settings):
 
 
 class CyclesSection(Settings):
-    """Settings that only Blender Cycles has."""
+    """Settings for Blender Cycles only."""
 
     denoise: Literal["none", "oidn", "optix"] = Field(
         default="oidn", description="The denoiser of every picture. optix needs a GPU."
@@ -278,7 +278,7 @@ def load_config(path: Path | str) -> Config:
 def resolve_parts(
     config: Config, folder: Path, *, progress: ProgressMeter = UNWATCHED
 ) -> tuple[tuple[Part, ...], tuple[str, ...]]:
-    """The parts of a configuration, and notes on their meshes.
+    """Return the parts of a configuration, and notes on the parts' meshes.
 
     Raises:
         ConfigError: an unknown built-in part, or a texture that cannot be read.
@@ -298,7 +298,7 @@ def resolve_parts(
 
 
 def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]]:
-    """The bin of a configuration, and notes on its mesh.
+    """Return the bin of a configuration, and notes on the bin's mesh.
 
     Raises:
         ConfigError, MeshError: a file cannot be used; the error names it.
@@ -338,7 +338,7 @@ def resolve_environment(section: EnvironmentSection, folder: Path) -> Environmen
 
 
 def resolve_scanner(config: Config, folder: Path) -> Scanner:
-    """The scanner that a configuration names, or the first of several.
+    """Return the scanner that a configuration names, or the first of several scanners.
 
     Raises:
         ConfigError: as in `resolve_scanners`.
@@ -347,7 +347,7 @@ def resolve_scanner(config: Config, folder: Path) -> Scanner:
 
 
 def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner], ...]:
-    """Return every scanner and its name ("" for a single one), changed by its sections.
+    """Return every scanner and its name ("" for a single scanner); sections change the scanners.
 
     Raises:
         ConfigError: there is no such rig, or the code lacks the axis that is parallel to the

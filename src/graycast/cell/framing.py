@@ -1,4 +1,4 @@
-"""The share of a picture that a bin and a part cover, and the scanner of the shelf for a bin."""
+"""The shares of a picture that bin and parts cover, and the choice of a scanner for a bin."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -28,9 +28,9 @@ _NAMED = 3  # A line has the widths of this many parts; for more parts, it has t
 class Framing:
     """A scanner of the shelf above a bin.
 
-    `distance_m` is the one of `view` in a configuration. `bin_share` is the share of the picture
+    `distance_m` is `view.distance_m` of a configuration. `bin_share` is the share of the picture
     that the bin covers, and `best_share` the largest of all compared scanners that fit. `missing_m`
-    is the distance of the bin's worst corner to the working range, or to the field of camera or
+    is how far the bin's worst corner is outside the working range, or the field of camera or
     projector; 0 or less if all corners are inside.
     """
 
@@ -43,12 +43,12 @@ class Framing:
 
 
 def best_framing(box: Bin, names: Iterable[str] = SCANNERS) -> Framing:
-    """Return the scanner whose picture a bin fills, and the distance at which it hangs.
+    """Return the scanner whose picture a bin fills best, and its distance from the bin.
 
-    Each scanner hangs as near as all corners of the bin are in its working range and in the fields
-    of its camera and its projector. The result is the first of `names` whose bin covers nearly as
-    much of the picture as the best (`ENOUGH`). If no scanner fits, it is the one that misses
-    the least.
+    Each scanner has the least distance at which all corners of the bin are in its working range and
+    in the fields of camera and projector. The result is the first of `names` in whose picture the
+    bin covers nearly as much as in the best (`ENOUGH`). If no scanner fits, it is the scanner with
+    the least `missing_m`.
     """
     nearest = [_nearest(preset_rig(name, "full"), box) for name in names]
     fits = [one for one in nearest if one.missing_m <= 0]
@@ -60,7 +60,7 @@ def best_framing(box: Bin, names: Iterable[str] = SCANNERS) -> Framing:
 
 
 def _nearest(rig: Rig, box: Bin) -> Framing:
-    """Return the least distance at which a scanner fits, or the one at which the least is missing.
+    """Return the least distance at which a scanner fits, or the distance with the least missing.
 
     Distances are multiples of `STEP_M`.
     """
@@ -131,7 +131,7 @@ def bin_share(camera: Optics, T_world_cam: Pose, box: Bin) -> float:
 
 
 def part_width_px(part: Part, camera: Optics, T_world_cam: Pose, box: Bin) -> float:
-    """Return the width of a part in pixels, its longest side perpendicular to the line of sight.
+    """Return a part's width in pixels, with its longest side perpendicular to the line of sight.
 
     The part is in the middle of the bin, at a third of its height.
     """
@@ -141,7 +141,7 @@ def part_width_px(part: Part, camera: Optics, T_world_cam: Pose, box: Bin) -> fl
 
 
 def framing_line(scene: Scene, layout: Layout | None = None) -> str:
-    """Return how much of a scene's picture the bin fills, and how wide the parts are in it.
+    """Return a line on how much of a scene's picture the bin fills and how wide the parts are.
 
     The parts are the labelled parts of a layout or, without a layout, all kinds of the scene.
     """

@@ -1,6 +1,6 @@
 """Many scenes of one cell, made by workers and written to the folder of a dataset.
 
-A scene depends on (configuration, dataset seed, scene id) alone, not on the number of workers, the
+A scene depends only on (configuration, dataset seed, scene id), not on the number of workers, the
 order of scenes or a restart.
 """
 
@@ -38,7 +38,7 @@ from .simulate import Shot, own_record
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """Counts of a run: scenes that it made, found and gave up; share of pixels per reason."""
+    """Counts of a run: scenes made, already present and given up; share of pixels per reason."""
 
     written: int
     found: int
@@ -62,19 +62,19 @@ def generate(
 ) -> Summary:
     """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
 
-    A scene that fails for good is set aside and the others are made; `set_aside.json` names it,
-    and the next run tries it again.
+    A scene that fails for good is set aside, and the other scenes are made; `set_aside.json` names
+    the failed scene, and the next run tries it again.
 
     Args:
-        out: the dataset's folder, which is made, or continued if it has the same configuration.
+        out: the dataset's folder, which is created, or continued if it has the same configuration.
         device: 'auto', 'cpu', 'cuda' or, for Cycles, 'optix'.
-        on_result: receives the result of each scene, in this process.
-        on_failed: receives the reason of each failed try.
-        progress: counts scenes, hears what is being prepared, and notes each part whose collision
-            hulls are coarse. If this process makes all scenes, it hears their steps, too.
+        on_result: called with the result of each scene, in this process.
+        on_failed: called with the reason for each failed try.
+        progress: counts scenes, shows the preparations, and notes each part whose collision hulls
+            are coarse. If this process makes all scenes, it shows their steps, too.
 
     Raises:
-        DatasetError: the folder has another dataset or is in use, or writing fails.
+        DatasetError: the folder has a different dataset or is in use, or writing fails.
         DeviceError: this machine has no such device.
         GraycastError, ValueError: no scene was made, for this reason; or Ray does not answer.
     """
@@ -125,22 +125,22 @@ def generate(
 
 
 def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Path:
-    """Write a scene of `make_scene` into the folder of a dataset, new or begun.
+    """Write a scene from `make_scene` into the folder of a new or unfinished dataset.
 
     If a cell takes several images of a scene, pass all images that `make_images` makes.
 
-    The files are those that `generate` writes for the same cell, seed and number, which may go on
-    with the folder. Unlike `generate` it also takes a scene in which nothing was decoded. If the
-    same scene is there already, it stays as it is.
+    The files equal those of `generate` for the same cell, seed and number, and `generate` may
+    continue the folder. Unlike `generate`, this function accepts a scene in which nothing was
+    decoded. If the same scene is there already, it stays unchanged.
 
     Returns:
         The scene's own folder.
 
     Raises:
-        ValueError: the scene was made from another configuration than the cell's, or an image of
-            it is missing.
-        DatasetError: the scene is there already with other files; the folder has another dataset or
-            is in use; or writing fails.
+        ValueError: the scene was made from a different configuration than the cell's, or an image
+            of the scene is missing.
+        DatasetError: the scene is there already with different files; the folder has a different
+            dataset or is in use; or writing fails.
     """
     out = Path(out)
     samples = [shot.sample for shot in ([shots] if isinstance(shots, Shot) else shots)]
@@ -178,7 +178,7 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path | str) -> Pat
 
 
 def depth_step_mm(cell: Cell) -> float:
-    """Return the step of the cell's depth pictures [mm]: configured, or as its depth needs.
+    """Return the step of the cell's depth pictures [mm], as configured or as the depth requires.
 
     Raises:
         ConfigError: with every step, the cell is deeper than 16 bits can store.
@@ -207,7 +207,7 @@ def read_origin(out: Path) -> Origin:
     """Return the configuration and seed of a dataset that `generate` made.
 
     Raises:
-        DatasetError: `out` has no such dataset, or one of another version of Graycast.
+        DatasetError: `out` has no such dataset, or its version of Graycast is different.
     """
     try:
         claim = read_json(out / CLAIM, Claim)
@@ -225,14 +225,14 @@ def read_origin(out: Path) -> Origin:
 def rerender(
     cell: Cell, out: Path, scene_id: int, *, seed: int, device: str = "auto"
 ) -> dict[str, str]:
-    """Make a stored scene again, and compare; nothing is written.
+    """Make a stored scene again, and compare it with the stored files; nothing is written.
 
     Returns:
-        The files that differ, and how; empty if the scene is the same. Timings in a manifest are
-        not compared.
+        The files that differ, and how; empty if all files are equal. Timings in a manifest are not
+        compared.
 
     Raises:
-        DatasetError: the scene is missing, or the dataset has another configuration.
+        DatasetError: the scene is missing, or the dataset has a different configuration.
         DropError, ValueError, DeviceError: as in `make_scene` and `open_renderer`.
     """
     task = _task(cell, seed, ALONE.device(cell.config.render.backend, device))
@@ -264,7 +264,7 @@ def _claimed(task: SceneTask) -> dict[str, Any]:
 
 
 def _takers(cell: Cell) -> tuple[Taker, ...]:
-    """Return all scanners; none if a single scanner without a name takes one image."""
+    """Return all scanners, or () if a single scanner without a name takes one image."""
     images = Counter(name for name, _ in cell.images)
     takers = tuple(
         Taker(
@@ -279,6 +279,6 @@ def _takers(cell: Cell) -> tuple[Taker, ...]:
 
 
 def described_scanner(scanner: Scanner) -> dict[str, Any]:
-    """Return all values of a preset or a rig file but the rig, which a claim holds separately."""
+    """Return all values of a preset or rig file except the rig, which a claim holds separately."""
     names = [field.name for field in fields(scanner) if field.name != "rig"]
     return {name: described_values(getattr(scanner, name)) for name in names}

@@ -14,8 +14,8 @@ from .framing import bin_corners_m
 def metered_region(scene: Scene, exposure: ExposureSpec) -> Bool[np.ndarray, "h w"] | None:
     """Return the pixels that look into the bin; None if there is no bin or no such pixel.
 
-    It is the hull of the bin's inner corners, as a user draws a region of interest around the bin;
-    the parts do not change it. Fixed exposures do not need it, so it is None for them too.
+    The region is the hull of the bin's inner corners, like a user's region of interest; the parts
+    do not change it. Fixed exposures need no region, so the result is None for them, too.
     """
     if scene.bin is None or not exposure.auto:
         return None

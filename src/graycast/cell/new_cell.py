@@ -86,13 +86,13 @@ def bin_for(part: Part) -> tuple[float, float, float]:
 
 
 def framing_text(framing: Framing, part: Part, box: Bin) -> str:
-    """Return a line that says which rig was chosen, and how large bin and part are in its picture.
+    """Return a line with the chosen rig, and the sizes of bin and part in the rig's picture.
 
     If the bin fits no scanner, the line says how much is missing. If it covers little of the
     picture, the line says that it does so with every scanner.
 
     Args:
-        framing: the best of all scanners of the shelf.
+        framing: the best scanner of the shelf.
     """
     width_px = part_width_px(part, framing.rig.camera, framing.T_world_cam, box)
     small_px = width_px * BINNING["full"] / BINNING["small"]

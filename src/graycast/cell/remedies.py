@@ -53,7 +53,7 @@ def remedies(scanner: Scanner) -> tuple[Remedy, ...]:
 def depth_shares(
     depth: DepthMap, true_m: Float[np.ndarray, "h w"], part: Bool[np.ndarray, "h w"]
 ) -> DepthShares:
-    """Return both shares for the pixels of the parts."""
+    """Return the depth shares of the parts' pixels."""
     known = part & np.isfinite(depth.depth_m)
     wrong = depth.is_wrong(true_m)[known]
     return DepthShares(
@@ -63,13 +63,13 @@ def depth_shares(
 
 
 def advice(now: DepthShares, tries: Mapping[str, DepthShares]) -> str:
-    """Return the share of wrong depths, and the change that gives most depth without more of them.
+    """Return a text on wrong depths, and on the change that adds most depth without more of them.
 
-    A change that gives more depth than this one, but also more wrong depths, is named with what
-    it costs.
+    A change that adds even more depth, but also more wrong depths, is named with its share of
+    these.
 
     Args:
-        tries: the shares that each change has, by its words.
+        tries: the shares after each change, by the change's words.
     """
     limits = f"over {1e3 * WRONG_M:g} mm and {WRONG_SIGMAS:g} sigma off"
     words, most = [f"now {now.wrong:.1%} of the depths are wrong ({limits})"], 0.0

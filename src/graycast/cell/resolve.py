@@ -1,4 +1,4 @@
-"""A cell: a configuration with its files read, which all scenes of a dataset share."""
+"""A cell: a configuration with its files' contents, which all scenes of a dataset share."""
 
 import hashlib
 import os
@@ -53,11 +53,11 @@ _Poses = Callable[..., tuple[Pose, ...]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Eye:
-    """One image of a scene: its scanner and its pose.
+    """One image of a scene: the scanner and its pose.
 
     `sensor` is the scanner's name, "" for a single one; `image` counts its images from 0; `station`
-    is its index in the configuration. `T_first_cam` is its pose if it is mounted on the first
-    scanner, with whose image of the same number it moves; else None.
+    is its index in the configuration. If the scanner is mounted on the first scanner, `T_first_cam`
+    is its pose there, and it moves with the first scanner's image of the same number; else None.
     """
 
     sensor: str
@@ -71,7 +71,7 @@ class Eye:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """A configuration with all its files read. All scenes of a dataset share it.
+    """A configuration with its files' contents. All scenes of a dataset share it.
 
     `scene` holds every kind of part; a scene drops one of the kinds, or all if `config.mix` is set.
     Its rig and pose, and `scanner`, are those of the first image. `named` has all scanners by name,
@@ -89,7 +89,7 @@ class Cell:
 
     @property
     def kinds(self) -> tuple[Part, ...]:
-        """Every kind of part that may be in a scene, distractors last."""
+        """All kinds of parts that may be in a scene, distractors last."""
         return self.scene.parts + (self.domain.distractors if self.domain else ())
 
     @property
@@ -100,17 +100,17 @@ class Cell:
     def with_own(self, *, code: Code | None = None, sensor: SensorSpec | None = None) -> "Cell":
         """Return the cell with a code or a sensor that its configuration does not name.
 
-        Every function takes such a cell. Its datasets store the code and the sensor in
+        All functions accept such a cell. Its datasets store the code and the sensor in
         `graycast.json`, and under `own` in the manifest of each scene.
 
         Args:
             code: frames for the projector of the rig; None keeps the present code.
-            sensor: its noise and its converter; None keeps the present sensor.
+            sensor: the sensor's noise and converter; None keeps the present sensor.
 
         Raises:
             ConfigError: the cell has several scanners, or the code lacks the axis that is
                 parallel to the baseline.
-            ValueError: the code is made for a projector of another size.
+            ValueError: the code is for a projector of a different size.
         """
         if self.named:
             raise ConfigError("the cell has several scanners: give one of a single scanner")
@@ -126,7 +126,7 @@ class Cell:
         return replace(self, scanner=scanner, own=own)
 
     def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
-        """Grey levels for the projector, with its response inverted."""
+        """Return grey levels for the projector, with its response inverted."""
         return patterns_of(self.scanner)
 
     @property
@@ -173,7 +173,7 @@ def patterns_of(scanner: Scanner) -> UInt8[np.ndarray, "n ph pw"]:
 
 
 def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
-    """Return every image of one scene, scanner by scanner, as the configuration places them.
+    """Return every image of one scene, scanner by scanner, at the configured poses.
 
     Args:
         seed: the seed of the scene's views, from which each scanner has its own stream; listed
@@ -248,9 +248,9 @@ def _own_views(config: Config, station: int) -> tuple[ViewSection, ...] | Sample
 
 
 def resolve_cell(config: Config, folder: Path, *, progress: ProgressMeter = UNWATCHED) -> Cell:
-    """Read the files that a configuration names; relative paths start in `folder`.
+    """Return a cell from a configuration and its files; relative paths start in `folder`.
 
-    `progress` hears of each step that may take seconds.
+    `progress` is called at each step that may take seconds.
 
     Raises:
         GraycastError, ValueError: a file or a value cannot be used; the error names it.
@@ -305,7 +305,7 @@ def load_cell(
         source: a configuration, or its YAML file.
         folder: where relative paths of the configuration start; None is the folder of the file, or
             the current folder for a configuration made in Python.
-        progress: hears of each step that may take seconds.
+        progress: called at each step that may take seconds.
 
     Raises:
         GraycastError, ValueError: a file or a value cannot be used; the error names it.
@@ -369,7 +369,7 @@ def open_configured(
 def file_digests(config: Config, folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file that a configuration names, so that a change is noticed.
 
-    They include the materials and pictures that a mesh file uses. File names are those of the
+    They include the materials and pictures that a mesh file uses. File names are as in the
     configuration, or begin with the folder of the mesh there.
     """
     named = [section.mesh for section in config.parts]

@@ -1,6 +1,6 @@
 """One scene from its seeds to its measured depth: drop, light, sensor, decoding.
 
-A scene depends on (configuration, dataset seed, scene id) alone.
+A scene depends only on (configuration, dataset seed, scene id).
 """
 
 import platform
@@ -49,7 +49,7 @@ class Shot:
     codes: CodeMap
 
     def __repr__(self) -> str:
-        """Return one line, since the arrays inside fill screens."""
+        """Return one line, because the arrays would fill several screens."""
         manifest, (height_px, width_px) = self.sample.manifest, self.codes.reason.shape
         of_parts = manifest["part_reasons"]
         decoded = f", {of_parts['decoded']:.0%} of the parts' pixels decoded" if of_parts else ""
@@ -67,11 +67,11 @@ def make_scene(
     renderer: Renderer,
     progress: ProgressMeter = UNWATCHED,
 ) -> Shot:
-    """Make one scene and the sample of its first image; `progress` hears each step.
+    """Make a scene and its first image, up to the sample; `progress` is called at each step.
 
     Raises:
         DropError: the parts did not come to rest as required.
-        ValueError: the picture is dark, or a value is out of its range.
+        ValueError: the picture is dark, or a value is out of range.
     """
     return next(make_images(cell, scene_id, seed=seed, renderer=renderer, progress=progress))
 
@@ -85,12 +85,12 @@ def make_images(
     progress: ProgressMeter = UNWATCHED,
     only: int | None = None,
 ) -> Iterator[Shot]:
-    """Yield the images of one scene one by one, so that only the light of one is in memory.
+    """Yield a scene's images one by one, so that the light of only one image is in memory.
 
     The parts are dropped once. Every image has the ground truth of the same layout.
 
     Args:
-        only: an index in `cell.images`: make this image and no other.
+        only: an index in `cell.images`; only this image is made.
 
     Raises:
         DropError, ValueError: as in `make_scene`.
@@ -142,7 +142,7 @@ def _taken(
     renderer: Renderer,
     progress: ProgressMeter,
 ) -> Shot:
-    """Take one image: light, sensor, decoding. `manifest` and `timings` are the scene's so far."""
+    """Take one image: light, sensor, decoding. `manifest` and `timings` come from earlier steps."""
     config, scanner, seeds = cell.config, eye.scanner, manifest["seeds"]
     if cell.own:
         manifest = manifest | {"own": own_record(cell)}
@@ -245,7 +245,7 @@ def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:
 
 
 def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
-    """Return the scene to drop and to render first: the cell's own, or varied by its domain."""
+    """Return the scene to drop and to render first: the cell's, or a variation by its domain."""
     counts = counts_of(cell, scene_id, np.random.default_rng(seeds["counts"]))
     first = eyes(cell, seeds.get("views", 0))[0]
     scene = replace(cell.scene, T_world_cam=first.T_world_cam)
@@ -257,9 +257,9 @@ def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
 
 
 def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple[Eye, Scene]]:
-    """Return the scene in front of each of its eyes, moved by the values of a domain.
+    """Return the scene for each of its eyes (images), whose poses the domain's values change.
 
-    All images of a scanner are moved in the same way; a mounted scanner moves with the first one.
+    All images of a scanner move in the same way; a mounted scanner moves with the first scanner.
     """
     first, *others = eyes(cell, seeds.get("views", 0))
     hung = [(first, variation.scene)]

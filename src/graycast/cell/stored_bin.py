@@ -1,4 +1,4 @@
-"""The bin of a stored dataset, from the configuration that the dataset holds."""
+"""The bin of a stored dataset, read from the dataset's configuration."""
 
 from pathlib import Path
 
@@ -15,10 +15,10 @@ def stored_bin(dataset: StoredDataset, files: Path) -> Bin:
     """Return the bin of a simulated dataset, with its shape and friction but not with its material.
 
     Args:
-        files: the folder in which the relative paths of the configuration begin.
+        files: the folder in which the configuration's relative paths start.
 
     Raises:
-        DatasetError: the configuration has no readable bin, or the mesh of the bin has changed.
+        DatasetError: the configuration has no readable bin, or the bin's mesh has changed.
         GraycastError: the bin's mesh cannot be read.
     """
     config = dataset.claim["config"]

@@ -98,7 +98,7 @@ class DomeSection(Settings):
 
 
 class PathSection(Settings):
-    """Camera poses along a path, as of a camera in a robot's hand, the same in all scenes."""
+    """Camera poses along a path, such as a robot's; the path is the same in all scenes."""
 
     kind: Literal["path"] = Field(description="The kind of the poses: path.")
     count: Annotated[int, Field(ge=2, le=MOST_VIEWS)] = Field(
@@ -203,7 +203,7 @@ class ScannerEntry(ScannerSections):
 
 
 def hang(view: ViewSection, rig: Rig, box: Bin) -> Pose:
-    """Return `T_world_cam`: the given one, or that of the rig placed above the bin."""
+    """Return the given `T_world_cam`, or the pose of the rig placed above the bin."""
     if view.T_world_cam is not None:
         return np.reshape(view.T_world_cam, (4, 4)).astype(np.float64)
     return _on(
@@ -241,7 +241,7 @@ def places(
         rng: random numbers of this scanner in this scene; a list and a path do not use them.
 
     Raises:
-        ConfigError: camera or projector would be inside the bin, or under its floor.
+        ConfigError: camera or projector would be inside the bin, or below the bin's floor.
     """
     match views:
         case DomeSection():
@@ -279,7 +279,7 @@ def _on_dome(
 def _on(
     view: ViewSection, rig: Rig, box: Bin, *, distance_m: float, tilt_rad: float, azimuth_rad: float
 ) -> Pose:
-    """Place the rig above the target of a view; by default, a third of the bin's height."""
+    """Place the rig above a view's target, by default at a third of the bin's height."""
     return place(
         rig,
         target_m=np.array(view.target_m or (0.0, 0.0, box.inner_m[2] / 3)),
@@ -353,10 +353,10 @@ def farthest(
 
 
 def refuse_inside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
-    """Refuse a camera or a projector between the bin's walls or under its floor: it sees no scene.
+    """Refuse a camera or projector between the bin's walls or below its floor, with no view.
 
     Raises:
-        ConfigError: the camera or the projector is there.
+        ConfigError: the camera or the projector is at such a place.
     """
     half_m = np.array(box.inner_m[:2]) / 2 + box.wall_m
     for device, T in (("camera", T_world_cam), ("projector", T_world_cam @ rig.T_cam_proj)):
@@ -391,7 +391,7 @@ def refuse_outside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
 
 
 def _is_beside(optics: Optics, point_m: Float[np.ndarray, "n 3"]) -> bool:
-    """Whether all points, in the device's frame, are behind it or beyond one picture edge."""
+    """Return whether all points (device's frame) are behind the device or beyond one edge."""
     x, y = optics.width_px - 1.0, optics.height_px - 1.0
     ray = rays(optics, np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]]))
     inwards = np.cross(ray, np.roll(ray, -1, axis=0))

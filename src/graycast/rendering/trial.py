@@ -29,7 +29,7 @@ _PACKAGES = ("mitsuba", "drjit", "pyoidn")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """Result of a trial: the reason for a failure is `problem`; `denoiser` is a device."""
+    """Result of a trial: `problem` is a failure's reason, `denoiser` the denoiser's device."""
 
     device: str
     seconds: float

@@ -1,4 +1,4 @@
-"""Scenes for a script or a notebook: make them one by one, look at them, and save them."""
+"""Scenes for a script or a notebook, which can be made one by one, viewed and saved."""
 
 from collections.abc import Iterator
 from contextlib import closing

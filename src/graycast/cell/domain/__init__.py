@@ -1,7 +1,7 @@
-"""Variation of scenes: within the tolerances of the cell, or drawn at random, and recorded.
+"""Variation of scenes, within a cell's tolerances or at random, with a record of the values.
 
-The cell's `Scene` and a random generator give a record of drawn values, plain enough for JSON; the
-record alone gives the scene that is dropped and rendered.
+A cell's `Scene` and a random generator give a record of drawn values in JSON types; cell and record
+give the scene that is dropped and rendered, without randomness.
 """
 
 from .domain_sections import AdaptedSection, DomainSection, RandomizedSection

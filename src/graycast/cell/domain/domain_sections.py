@@ -1,6 +1,6 @@
 """Configuration of a domain: the real cell with tolerances, or random scenes.
 
-Ranges are [lowest, highest] and drawn uniformly between them, or as the key says.
+Ranges are [lowest, highest]; values are uniform in between, or as the key's description says.
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ Counts = SpanOf[Annotated[int, Field(ge=0, le=255)]]
 
 
 class CameraTolerance(Settings):
-    """Limits of how far the rig may deviate from the configured view."""
+    """Limits of the rig's deviation from the configured view."""
 
     position_m: Level = Field(
         default=1e-3,
@@ -36,7 +36,7 @@ class CameraTolerance(Settings):
 
 
 class BinTolerance(Settings):
-    """Limits of how far the bin, flat on the table, may deviate from the middle of the cell."""
+    """Limits of the bin's deviation, flat on the table, from the middle of the cell."""
 
     position_m: Level = Field(
         default=2e-3, description="The largest shift of the bin along x and along y, in metres."
@@ -47,7 +47,7 @@ class BinTolerance(Settings):
 
 
 class LampTolerance(Settings):
-    """Limits of how far lamps and environment may deviate from the configured light."""
+    """Limits of the deviation of lamps and environment from the configured light."""
 
     position_m: Level = Field(
         default=5e-3,
@@ -64,7 +64,7 @@ class LampTolerance(Settings):
 
 
 class PartTolerance(Settings):
-    """Limits of how far the look of a batch may deviate; parts of a kind share one look."""
+    """Limits of the deviation of a batch's look; parts of a kind share one look."""
 
     reflectance: Share = Field(
         default=0.03,
@@ -91,7 +91,7 @@ class AdaptedSection(Settings):
 
 
 class ColorRanges(Settings):
-    """A colour by hue, saturation and value of its sRGB encoding."""
+    """Ranges of a colour: hue, saturation and value of its sRGB encoding."""
 
     hue_deg: SpanOf[Annotated[float, Field(ge=0, le=360)]] = Field(
         default=(0.0, 360.0), description="The range of the hue in degrees: 0 is red, 120 is green."
@@ -105,7 +105,7 @@ class ColorRanges(Settings):
 
 
 class SurfaceRanges(Settings):
-    """The look of a surface: a plain colour, or a picture from a folder."""
+    """Ranges of a surface's look: a plain colour, or a picture from a folder."""
 
     color: ColorRanges = ColorRanges()
     textures: Path | None = Field(
@@ -129,7 +129,7 @@ class SurfaceRanges(Settings):
 
 
 class BinRanges(SurfaceRanges):
-    """The look of the bin, which is the same inside and outside, and its size."""
+    """Ranges of the bin's size, and of its look, which is the same inside and outside."""
 
     size_factor: SpanOf[Annotated[float, Field(ge=0.5, le=2)]] = Field(
         default=(1.0, 1.0),
@@ -246,7 +246,7 @@ class PartRanges(Settings):
 
 
 class DistractorRanges(Settings):
-    """Foreign parts that lie among the others and hide them. They are not annotated."""
+    """Foreign parts that lie among the cell's parts and partly hide them, without annotation."""
 
     count: Counts = Field(
         default=(0, 3),
@@ -261,7 +261,7 @@ class DistractorRanges(Settings):
 
 
 class RandomizedSection(Settings):
-    """A different look in each scene. A section that is null keeps what the cell has."""
+    """A different look in each scene. A section that is null keeps the cell's values."""
 
     kind: Literal["randomized"] = Field(description="The kind of the domain: randomized.")
     camera: CameraRanges | None = CameraRanges()
@@ -282,7 +282,7 @@ class RandomizedSection(Settings):
 
 
 def _spelt_out(value: Any) -> Any:
-    """Turn a plain word into the section of that kind with all its defaults."""
+    """Turn a plain word into the section of that kind, with its default values."""
     if isinstance(value, str):
         value = {"kind": value}
     if isinstance(value, dict) and value.get("kind") not in KINDS:

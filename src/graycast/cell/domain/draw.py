@@ -1,6 +1,6 @@
 """Random values of a domain: all differences of a scene from the cell, as JSON.
 
-Each section has a random stream of its own, so that a change in one leaves the others as they were.
+Each section has its own random stream, so a change in one section leaves other sections' values.
 """
 
 import math
@@ -45,17 +45,17 @@ def draw(
     *,
     scanners: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Draw the values from which `vary` makes one scene.
+    """Draw the values from which `vary` makes a scene.
 
     Args:
         scene: the cell.
         counts: number of parts of each kind.
-        rng: a generator for this purpose only; it must be able to `spawn`.
-        scanners: the names of further scanners that are not mounted on the first; each has its own
-            deviation, in `cameras` of the record.
+        rng: a random generator for this call only; it must be able to `spawn`.
+        scanners: names of the other scanners that are not mounted on the first; the record's
+            `cameras` has a deviation for each.
 
     Raises:
-        ConfigError: no lamp of these ranges leaves the view free, or the rig is not above the bin.
+        ConfigError: every lamp in these ranges blocks the view, or the rig is not above the bin.
     """
     streams = dict(zip(DOMAIN, rng.spawn(len(DOMAIN)), strict=True))
     further = dict(zip(scanners, streams["camera"].spawn(len(scanners)), strict=True))
@@ -214,7 +214,7 @@ class _Cone:
     half_angle_rad: float
 
     def meets(self, center_m: Float[np.ndarray, "3"], radius_m: float) -> bool:
-        """Whether a ball overlaps the cone."""
+        """Return whether a ball overlaps the cone."""
         away_m = center_m - self.apex_m
         distance_m = float(np.linalg.norm(away_m))
         if distance_m <= radius_m:
@@ -240,7 +240,7 @@ def _widest_rad(lens: Optics) -> float:
 
 
 def in_the_way(lamp: Lamp, scene: Scene, cones: tuple[_Cone, ...]) -> bool:
-    """Whether the ball around a lamp overlaps the ball around the bin or the cone of a view."""
+    """Return whether the ball around a lamp overlaps the ball around the bin or a view's cone."""
     center_m, reach_m = np.array(lamp.center_m), lamp.size_m * math.sqrt(0.5)
     low_m, high_m = bin_of(scene).bounds_m
     bin_reach_m = np.linalg.norm(high_m - low_m) / 2

@@ -1,4 +1,4 @@
-"""Colours and surfaces from random values."""
+"""Colours and surfaces that follow from random values."""
 
 import colorsys
 from collections.abc import Mapping, Sequence
@@ -51,8 +51,8 @@ def retouched(
 ) -> Material:
     """Return a material that is somewhat brighter, rougher or more metallic.
 
-    `brightness` is a factor of all reflectances, `tint` another one of each band but the
-    projector's; of a texture, they multiply the linear value of each texel. Reflectance is clipped
+    `brightness` is a factor for all reflectances, `tint` a further factor for each band except the
+    projector's; in a texture, they multiply the linear value of each texel. Reflectance is clipped
     to the material's limit, 1 without a mottle. `roughness` and `metallic` are added and clipped to
     their limits; grooves stay on metal only, and a transparent material does not become metallic.
     """

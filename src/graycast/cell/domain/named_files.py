@@ -36,8 +36,8 @@ def resolve_domain(
     """Return the domain of the cell `scene`; the configuration's paths are relative to `folder`.
 
     Raises:
-        ConfigError: a folder without pictures, or a distractor that is one of the cell's parts.
-        MeshError: a distractor's mesh that cannot be a part.
+        ConfigError: a folder has no pictures, or a distractor is one of the cell's parts.
+        MeshError: a distractor's mesh cannot be a part.
     """
     if isinstance(section, AdaptedSection):
         return Domain(section=section)
@@ -68,7 +68,7 @@ def domain_files(
 
 
 def _folders(section: RandomizedSection, folder: Path) -> dict[str, tuple[Path, ...]]:
-    """Return the pictures of each folder, relative to `folder`, by field of `Domain`."""
+    """Return the pictures of each folder by field of `Domain`, relative to `folder`."""
     light, box, table = section.environment, section.bin, section.table
     named = {
         "maps": (None if light is None else light.maps, MAPS, "environment.maps"),

@@ -31,7 +31,7 @@ def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) 
 
 
 def _hung(section: RandomizedSection, scene: Scene) -> Iterator[Float[np.ndarray, "4 4"]]:
-    """Yield `T_world_cam` at the ends of each range: farthest, most tilted, at each azimuth."""
+    """Yield `T_world_cam` at the range ends: farthest, most tilted, and at several azimuths."""
     camera = section.camera
     assert camera is not None
     for tilt_deg, roll_deg, azimuth_deg in itertools.product(

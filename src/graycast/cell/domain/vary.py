@@ -1,6 +1,6 @@
 """The scene that follows from a cell and a record of drawn values, without randomness.
 
-Values that are not in the record are those of the cell, so the record is complete.
+Values that are not in the record come from the cell, so the record is complete.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variation:
-    """One scene of a domain, ready to drop and render, and the record that it was made from."""
+    """One scene of a domain, ready to drop and render, and the record from which it was made."""
 
     scene: Scene
     counts: tuple[int, ...]  # number of each of the scene's parts
@@ -34,10 +34,10 @@ class Variation:
 
 
 def vary(domain: Domain, scene: Scene, counts: tuple[int, ...], record: Record) -> Variation:
-    """Return the scene of a record, which `draw` writes and a manifest holds.
+    """Return the scene for a record, which comes from `draw` or from a manifest.
 
     Args:
-        domain: the domain of the record; it has the files that the record names.
+        domain: the record's domain, which has the files that the record names.
         scene: the cell.
         counts: number of parts of each kind.
 
@@ -62,7 +62,7 @@ def moved_place(scene: Scene, record: Record, scanner: str) -> Float[np.ndarray,
 
     Args:
         scene: the cell in front of this scanner, as configured.
-        scanner: its name; without a deviation of its own in the record, it has the first scanner's.
+        scanner: its name; without its own deviation in the record, the first scanner's applies.
     """
     camera = record.get("cameras", {}).get(scanner, record.get("camera"))
     if record["kind"] == "adapted":
@@ -79,7 +79,7 @@ def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
 
 
 def _adapted(scene: Scene, record: Record) -> Scene:
-    """Return the adapted scene. Values without a deviation are unchanged to the bit."""
+    """Return the adapted scene. Values without a deviation stay exactly the same."""
     box = record["bin"]
     lamps = tuple(
         replace(
@@ -124,7 +124,7 @@ def _tolerated(
 
 
 def _world_of(box: Record) -> Float[np.ndarray, "4 4"] | None:
-    """Move the world so that it stays on the bin's floor: the opposite of the bin's movement."""
+    """Return the inverse of the bin's movement, so that the world stays on the bin's floor."""
     if not any(box["offset_m"]) and not box["turn_rad"]:
         return None
     return inverse(rigid(axis_rotation("z", box["turn_rad"]), np.array([*box["offset_m"], 0.0])))
@@ -170,7 +170,7 @@ def _randomized(domain: Domain, scene: Scene, record: Record) -> Scene:
 
 
 def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
-    """Return the cell with the rig and the bin of a record; they limit where lamps may be.
+    """Return the cell with a record's rig and bin, which limit where lamps may be.
 
     Raises:
         ConfigError: camera or projector is not above the bin's rim.
@@ -209,7 +209,7 @@ def moved_rig(scene: Scene, values: Record) -> Float[np.ndarray, "4 4"]:
 def _aim_point(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.ndarray, "3"]:
     """Return where the rig's axis meets the plane at a third of the bin's height, its usual target.
 
-    If the rig does not look down at it, return the point where its axes are closest to each other.
+    If the rig does not look down at that plane, return the point where its axes are closest.
     """
     middle, axis = T_world_rig[:3, 3], T_world_rig[:3, 2]
     drop_m = bin_of(scene).inner_m[2] / 3 - middle[2]
@@ -235,10 +235,10 @@ def _changed_bin(box: Bin, values: Record, texture: np.ndarray | None) -> Bin:
 
 
 def lamp_of(values: Record, scene: Scene) -> Lamp:
-    """Return a lamp of the given direction and distance from the bin, and irradiance there.
+    """Return a lamp with a given direction and distance from the bin, and irradiance at the bin.
 
-    The radiance is that of a small lamp: L = E d^2 / a^2. A lamp with an edge of half its distance
-    gives 8 % less than stated.
+    The radiance follows from the formula for a small lamp: L = E d^2 / a^2. A lamp with an edge of
+    half its distance gives 8 % less irradiance than stated.
     """
     target = (0.0, 0.0, bin_of(scene).inner_m[2] / 3)
     around, up = values["azimuth_rad"], values["elevation_rad"]

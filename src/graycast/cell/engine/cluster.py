@@ -19,7 +19,7 @@ _AHEAD = 2  # scenes submitted per place: no worker waits, and few finished scen
 
 
 class RayPool:
-    """Tasks of Ray. The scenes' files come back to this process, so no disk need be shared.
+    """A pool of Ray tasks. The scenes' files return to this process, so no disk need be shared.
 
     Files that the cell names by path (environment maps) must be readable on every machine.
     """
@@ -81,10 +81,10 @@ class RayPool:
 
 
 def gpu_share(resources: Mapping[str, float], threads: int) -> float:
-    """Return the share of a GPU for each scene, so that it serves all processors.
+    """Return each scene's share of a GPU, so that the GPUs serve all processors.
 
-    A scene needs the GPU for a small part of its time, and the drop needs a processor for most of
-    it. Ray counts in steps of 1e-4.
+    A scene needs the GPU for a small part of its time; the drop takes most of the time on a
+    processor. Ray counts in steps of 1e-4.
     """
     places = max(1.0, resources.get("CPU", 1.0) / threads)
     return min(1.0, max(1e-4, math.floor(1e4 * resources.get("GPU", 1.0) / places) / 1e4))
@@ -95,7 +95,7 @@ def _knock(address: str) -> None:
 
     Raises:
         OSError: no server listens there.
-        ValueError: the address is one of Ray's client, whose tasks end with its connection.
+        ValueError: the address belongs to Ray's client, whose tasks end with the connection.
     """
     if address.startswith("ray://"):
         raise ValueError("addresses with ray:// are not supported: give HOST:PORT of the head node")

@@ -1,4 +1,4 @@
-"""The tasks of workers, their results, and the renderer that a worker keeps between scenes."""
+"""Tasks for workers, their results, and the renderer that a worker keeps between scenes."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,12 +20,12 @@ from ..simulate import Shot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskResult:
-    """A scene: files as (path in its folder, content), seconds, shares of pixels per reason.
+    """A made scene: files as (path in its folder, content), seconds, shares of pixels per reason.
 
-    `reason_px` and `part_reason_px` are the numbers of pixels per reason over all images: of all
-    pixels, and of those that see parts. For a bin of a robot, `reasons` are attempts per
-    outcome. `rss_bytes` is the memory of the process after the scene. A job that keeps its shots
-    has `shots` in place of files.
+    `reason_px` counts all pixels per reason over all images, and `part_reason_px` only the pixels
+    that see parts. For a robot's bin, `reasons` are counts of attempts per outcome. `rss_bytes` is
+    the memory of the process after the scene. A job that keeps its shots gives `shots` instead of
+    files.
     """
 
     scene_id: int
@@ -39,7 +39,7 @@ class TaskResult:
 
     @property
     def part_reasons(self) -> dict[str, float]:
-        """Return the shares of reasons among the pixels that see parts; empty if no pixel does."""
+        """Shares of reasons among the pixels that see parts; empty if no pixel sees a part."""
         return pooled_shares([self.part_reason_px])
 
 
@@ -50,7 +50,7 @@ def keep_to_threads(threads: int | None) -> None:
 
 
 def is_the_scenes_own(error: BaseException) -> bool:
-    """Return whether the scene itself causes an error, so that another try would fail, too.
+    """Return whether an error is caused by the scene itself, so that a new try would also fail.
 
     Other errors (a lost driver, memory, a killed process) may be caused by the machine.
     """
@@ -74,8 +74,8 @@ class WorkerRenderer:
     def of(self, render: RenderSection) -> Iterator[Renderer]:
         """Provide the renderer while a scene is made; a worker passes the same section each time.
 
-        An error that the scene itself does not cause closes it, since it may have a lost device or
-        half of a scene; the next scene opens another one.
+        An error that the scene itself does not cause closes the renderer, since it may have a lost
+        device or half of a scene; the next scene opens a new renderer.
         """
         try:
             if self._open is None:
@@ -97,7 +97,7 @@ class WorkerRenderer:
 
 @runtime_checkable
 class TaskRunner(Protocol):
-    """Makes one scene, or one bin, after another; close it after use."""
+    """A maker of one scene, or bin, after another; close it after use."""
 
     def make(self, scene_id: int) -> TaskResult: ...
 
@@ -108,9 +108,9 @@ class TaskRunner(Protocol):
 class Job:
     """A task that can be sent to a worker, which opens it to make its scenes.
 
-    `device` exists here: 'auto' was resolved before, so that all workers use the same one; only for
-    a cluster may it be 'auto'. `graycast` is the release. `RUNNER` is called with the job and the
-    arguments of `open`.
+    `device` exists on this machine: 'auto' was resolved before, so that all workers use the same
+    device; only for a cluster may it be 'auto'. `graycast` is the release. `RUNNER` is called with
+    the job and the arguments of `open`.
     """
 
     RUNNER: ClassVar[Callable[..., TaskRunner]]
@@ -121,11 +121,11 @@ class Job:
 
     @property
     def parts(self) -> Sequence[Part]:
-        """Return the kinds of parts that fall."""
+        """Kinds of the parts that fall."""
         return ()
 
     def compile_kernels(self) -> None:
-        """Compile on this machine what every worker would compile otherwise; nothing by default."""
+        """Compile kernels once on this machine, so that workers need not; nothing by default."""
 
     def open(
         self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED
@@ -133,7 +133,7 @@ class Job:
         """Open a maker of the job's scenes in this process; close it after use.
 
         Args:
-            threads: processor threads that it may use; None leaves them as they are.
-            progress: hears what is done for each scene.
+            threads: number of processor threads for the maker; None does not change it.
+            progress: called with each step of a scene.
         """
         return type(self).RUNNER(self, threads=threads, progress=progress)

@@ -101,11 +101,11 @@ class LocalPool:
 
 
 class _Worker:
-    """A process that makes one scene at a time; its first scene starts it.
+    """A process that makes one scene at a time; the first scene starts the process.
 
-    All messages go through one pipe, whose other end only the process has. So if the process is
-    killed while it writes its result, the pipe ends there and the parent does not wait for the
-    rest. (In a pool of `concurrent.futures`, the parent has that end, too, and waits for ever.)
+    All messages go through one pipe, and only the process holds the other end. So if the process is
+    killed while it writes its result, the pipe closes and the parent does not wait for the rest.
+    (In a pool of `concurrent.futures`, the parent also holds that end, and waits for ever.)
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class _Worker:
         return Failed(scene_id=self._scene_id, error=error)
 
     def end(self) -> None:
-        """Let the idle process end; the next scene starts another."""
+        """Let the idle process end; the next scene starts a new process."""
         self.busy = False
         if self.connection is not None:
             self.connection.close()  # it ends when the pipe is closed
@@ -213,7 +213,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Give these variables to processes that are started inside; the user's own settings win."""
+    """Set variables for processes that start in the block; the user's own settings win."""
     shared_out = ("TMPDIR", "CUDA_VISIBLE_DEVICES")
     added = {k: v for k, v in variables.items() if k in shared_out or k not in os.environ}
     before = {name: os.environ.get(name) for name in added}

@@ -20,7 +20,7 @@ GPU_DEVICES = ("cuda", "optix")
 
 
 class SceneMaker:
-    """Makes scenes of one task; opens its renderer for the first one and keeps it."""
+    """A maker of a task's scenes; it opens a renderer for the first scene and keeps it."""
 
     def __init__(
         self,
@@ -37,8 +37,8 @@ class SceneMaker:
         """Make one scene.
 
         Raises:
-            DropError, DecodeError, ValueError: this scene cannot be made; the next one may be.
-            Exception: an unforeseen error; the renderer is opened again for the next scene.
+            DropError, DecodeError, ValueError: this scene cannot be made; others may succeed.
+            Exception: an unforeseen error; the next scene opens a new renderer.
         """
         start = time.perf_counter()
         task = self.task
@@ -74,7 +74,7 @@ class SceneMaker:
 class SceneTask(Job):
     """All data that a worker needs to make any scene of a dataset.
 
-    With `keep_shots` it hands over the images themselves, not their files.
+    With `keep_shots`, results have the images themselves instead of files.
     """
 
     RUNNER = SceneMaker
@@ -92,7 +92,7 @@ class SceneTask(Job):
 
 
 def _count(sample: Sample, reason_px: Counter[str], part_reason_px: Counter[str]) -> None:
-    """Add the reasons of an image's pixels to the counts of all pixels and of the parts' pixels."""
+    """Add an image's reasons to the counts for all pixels and for the parts' pixels."""
     reason = sample.scanner_depth.reason
     reason_px.update(reason_counts(reason))
     of_parts = on_part(sample.scene, sample.layout, sample.truth)

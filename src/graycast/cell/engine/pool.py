@@ -18,9 +18,9 @@ _IN_VAIN = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failed:
-    """A scene that failed after `tries` tries; if `final`, no other try follows.
+    """A scene that failed after `tries` tries; if `final`, no further try follows.
 
-    A scene whose own values cause the error is not tried again, as it would fail the same way.
+    A scene whose own values cause the error is not tried again, because it would fail again.
     """
 
     scene_id: int
@@ -29,7 +29,7 @@ class Failed:
     final: bool = False
 
     def set_aside(self) -> SetAside:
-        """Return the record of a scene that is given up."""
+        """Return the record of the scene that is given up."""
         foreseen = is_foreseen(self.error)
         trace = "" if foreseen else "".join(traceback.format_exception(self.error))
         return SetAside(
@@ -40,7 +40,7 @@ class Failed:
         )
 
     def for_users(self) -> Exception:
-        """Return the error for the user; an unforeseen one says that it is, with its type."""
+        """Return the error for the user; the text of an unforeseen error says so, with its type."""
         if is_foreseen(self.error):
             return self.error
         text = f"{_error_text(self.error)}: this is an error in Graycast or in the machine"
@@ -103,11 +103,11 @@ class Here:
 
 
 def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[TaskResult | Failed, None, None]:
-    """Yield every finished scene. A failed one is retried later, up to `TRIES` times.
+    """Yield every finished scene. A failed scene is retried later, up to `TRIES` times.
 
     Raises:
-        GraycastError: scene after scene was lost, not by its own fault, so that the others would be
-            lost, too: a driver has failed, or memory is full.
+        GraycastError: scene after scene failed for a reason outside the scenes, such as a failed
+            driver or full memory, so further scenes would fail, too.
     """
     waiting, failures, running = deque(scene_ids), Counter[int](), 0
     lost: set[int] = set()  # since the last finished scene

@@ -1,4 +1,4 @@
-"""Who makes the scenes, and their pool: this process, others of this machine, or a cluster."""
+"""The choice of workers: this process, other processes of this machine, or a cluster."""
 
 from collections.abc import Callable, Collection
 from contextlib import closing
@@ -19,12 +19,12 @@ MOST_THREADS = 1024  # Blender's own limit; tens of thousands of threads end the
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workers:
-    """Who makes the scenes.
+    """A choice of workers for the scenes.
 
-    `engine` is 'local' or 'ray'. `count` scenes are made at a time. With 'local', 1 is this process
-    and more are processes of their own; with 'ray', 0 is as many as the cluster has room for.
-    `threads` are processor threads per worker; None shares those of this machine among local
-    workers, and is one on Ray. `address` is that of a Ray cluster's head; None starts Ray here.
+    `engine` is 'local' or 'ray'. `count` scenes are made at a time. With 'local', 1 means this
+    process, and more mean child processes; with 'ray', 0 means as many as the cluster has room for.
+    `threads` are processor threads per worker; None divides this machine's threads among local
+    workers, and means one on Ray. `address` belongs to a Ray cluster's head; None starts Ray here.
     """
 
     engine: str = "local"
@@ -64,7 +64,7 @@ def open_pool(
     """Open workers for the scenes of a task, at most one for each scene; close the pool after use.
 
     Args:
-        progress: hears the steps of `make_scene` if this process makes all scenes.
+        progress: called with the steps of `make_scene` if this process makes all scenes.
 
     Raises:
         GraycastError: Ray is not installed, or does not answer.
@@ -96,17 +96,17 @@ def make_missing(
     on_result: Callable[[TaskResult], None],
     on_failed: Callable[[Failed], None],
 ) -> tuple[Failed, ...]:
-    """Make the scenes that are missing, and hand over each as it ends.
+    """Make the missing scenes, and pass on each result at once.
 
-    Every command that continues a stopped run calls this function. A scene that is lost by the
-    machine's fault is tried again, as in `make_all`; one that is given up is set aside. The
-    collision hulls of the job's parts, and the kernels of several processes of this machine, are
-    made first, once and not by every worker.
+    Every command that continues a stopped run calls this function. A scene that fails because of
+    the machine is tried again, as in `make_all`; a scene that is given up is set aside. The
+    collision hulls of the job's parts, and the kernels for several processes of this machine, are
+    made first, once for all workers.
 
     Args:
         what: the kind of scenes, for `progress`.
-        total: number of scenes, those of earlier runs included.
-        on_result, on_failed: take the results, which are written and shown.
+        total: number of scenes, including scenes of earlier runs.
+        on_result, on_failed: called with each result or failed try, to write and show it.
         progress: counts the scenes, and notes each part whose collision hulls are coarse.
 
     Returns:

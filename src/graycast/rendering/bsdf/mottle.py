@@ -73,7 +73,7 @@ class Mottled(mi.Texture):
 def places(
     corner_m: Float[np.ndarray, "corners 3"], copies: int, length_m: float
 ) -> Float[np.ndarray, "copies corners 3"]:
-    """Return the places of corners in the field; each copy of a part has another part of it."""
+    """Return the places of corners in the field; each copy of a part has its own section."""
     offset_m = _period_m(length_m) * np.arange(copies)[:, None, None] * _STEP
     return corner_m + offset_m
 

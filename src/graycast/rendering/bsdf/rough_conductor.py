@@ -100,7 +100,7 @@ class RoughConductor(ggx.GlossyBSDF):
         return fresnel * dr.fma(later, self._lost(si.wi, alpha, length_i), 1)
 
     def _lost(self, wi: mi.Vector3f, alpha: ggx.Alpha, length_i: mi.Float) -> mi.Float:
-        """Return `(1 - E) / E`; with grooves, which make facets wider along y, also by azimuth."""
+        """Return `(1 - E) / E`; with grooves (facets wider along y) it also depends on azimuth."""
         cosine = mi.Frame3f.cos_theta(wi) / length_i
         if self.roughness is not None:
             energy = ggx.between_rows(alpha, lambda row: ggx.interpolated(self.energy, cosine, row))
@@ -115,7 +115,7 @@ class RoughConductor(ggx.GlossyBSDF):
 
 @final
 class BrushedConductor(ggx.GlossyBSDF):
-    """A metal with grooves. Properties: those of `RoughConductor`, with `alpha` along the grain."""
+    """A metal with grooves. Properties: like `RoughConductor`, with `alpha` along the grain."""
 
     def __init__(self, props: mi.Properties):
         super().__init__(props, mi.BSDFFlags.GlossyReflection)

@@ -41,7 +41,7 @@ class ProjectorLight:
         return mi.Point3f(self.lens + self.R_world_proj @ mi.Vector3f(place.x, place.y, 0))
 
     def intensity(self, q: mi.Point3f, place: mi.Point2f) -> mi.Float:
-        """Return the intensity of white towards a point in its own frame at `place` [W sr^-1]."""
+        """Return white's intensity towards a point `q` (own frame), seen at `place` [W sr^-1]."""
         intensity = mi.Float(self.intensity_w_sr)
         if self.optics.natural_vignetting:
             intensity *= q.z * dr.rsqrt(dr.squared_norm(q))
@@ -126,7 +126,7 @@ class ShinyField:
 
 
 def share(odds: mi.Float) -> mi.Float:
-    """Return the weight of a path that the other kind finds `odds` times as often (power 2)."""
+    """Return the weight of a path that the other kind of path finds `odds` times as often."""
     finite = odds < 1e18  # Also rejects NaN: a mirror multiplies a huge density by zero.
     return dr.select(finite, dr.rcp(dr.fma(odds, odds, 1)), 0)
 

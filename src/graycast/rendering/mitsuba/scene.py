@@ -184,7 +184,7 @@ def _reflectance(material: Material) -> dict[str, object]:
 
 
 def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -> mi.Mesh:
-    """Return all copies of a mesh, in world coordinates, as one shape: the fastest for Embree."""
+    """Return all copies of a mesh (in the world) as one shape, which is fastest for Embree."""
     n, corners = len(T_world_part), 3 * len(mesh.faces)
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(_bsdf(material))

@@ -1,4 +1,4 @@
-"""The messages between a session and the process that makes its pictures."""
+"""Messages between a session and the process that makes the session's pictures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from ...cell.config import Config
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ask:
-    """A request to show a cell. A later request replaces it, even if it is half done."""
+    """A request to show a cell. A later request replaces an earlier one, even a half-done one."""
 
     number: int
     config: Config

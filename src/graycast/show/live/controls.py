@@ -24,8 +24,8 @@ MOST_PARTS = 6  # Further kinds can be changed only in the text.
 class Control:
     """A control of the page for one value.
 
-    `whole` is the key that is sent if `key` is only a part of it, such as an item of a list. `grey`
-    means that one number stands for three equal ones. A control without bounds offers `choices`.
+    `whole` is the key that is sent if `key` is only a part of its value, such as an item of a list.
+    `grey` means that one number sets three equal ones. A control without bounds offers `choices`.
     """
 
     key: str
@@ -43,7 +43,7 @@ class Control:
 
 
 def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
-    """Return all controls of a configuration as JSON, with their values, stated or default.
+    """Return all controls of a configuration as JSON, with stated or default values.
 
     Each control has the description of its key, which the page shows as a tooltip.
 
@@ -57,7 +57,7 @@ def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
 
 
 def values_of_files(cell: Cell) -> dict[str, Any]:
-    """Return the values that a configuration may leave to the files that it names."""
+    """Return the values that come from a cell's files unless the configuration states them."""
     config = cell.config
     values: dict[str, Any] = {"table": material_words(cell.scene.table, config.table)}
     for index, section in enumerate(config.parts[:MOST_PARTS]):

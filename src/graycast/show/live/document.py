@@ -1,7 +1,7 @@
 """The state of a live session: the text of a configuration, and a few separate adjustments.
 
 Ambient light and changes of the rig have no single key in a configuration. They are stored here and
-become keys when a picture is requested: scaled radiances, and a rig file of the session.
+become keys when a picture is requested: scaled radiances, and the session's own rig file.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Keep the results of all stages, and make a requested picture from those that still apply.
+"""Keep the results of all stages, and make a requested picture from results that still apply.
 
 Each product is stored with a key of its inputs. If only settings after the light have changed
 (exposure, sensor, decoder, filters, faults), the stored radiance is measured again. Radiance is
@@ -43,12 +43,12 @@ Emit = Callable[[Answer], None]
 
 
 class Superseded(Exception):
-    """Another request has arrived, so the current work is useless."""
+    """An exception: a newer request has arrived, so the current work is useless."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightState:
-    """A rendering, with the light it was made with."""
+    """A rendering, and the light with which it was made."""
 
     key: Hashable  # It identifies the light without the two factors.
     number: int  # Each rendering has its own number.
@@ -97,10 +97,10 @@ class Line:
             self._renderer[1].close()
 
     def show(self, ask: Ask) -> None:
-        """Make the requested picture and emit it, with rough pictures first if it takes long.
+        """Make and emit the requested picture, with rough pictures first if it takes long.
 
         Raises:
-            Superseded: another request arrived first.
+            Superseded: a newer request arrived first.
             GraycastError, ValueError, OSError: see `resolve_cell` and `make_scene`.
         """
         start = time.perf_counter()
@@ -139,7 +139,7 @@ class Line:
             first = False
 
     def look(self, ask: Ask) -> None:
-        """Show another captured frame; if a file has changed, make the whole picture again."""
+        """Show a different captured frame; if a file has changed, make the whole picture again."""
         key = _light_key(ask.config, self._folder, self._files(ask.config))
         if self._cell is None or self._cell[0] != key:
             self.show(ask)
@@ -149,7 +149,7 @@ class Line:
     # --- the stages ---------------------------------------------------------------------------
 
     def _resolved(self, config: Config) -> Cell:
-        """Return the cell, which is resolved again unless only free sections changed.
+        """Return the cell; resolve it again if its light or its files have changed.
 
         Files are compared by content, because an edited file may keep its name.
         """
@@ -214,12 +214,12 @@ class Line:
         return self._renderer[1]
 
     def _passed(self, done: int, total: int) -> None:
-        """Stop a long rendering if another request has arrived; rough ones are finished."""
+        """Stop a long rendering if a newer request has arrived; rough renderings are finished."""
         if total > max(ROUGH) and done < total and self._superseded():
             raise Superseded
 
     def _finish(self, run: "_Run", lit: LightState, *, kind: str, exact: bool, first: bool) -> None:
-        """Measure and show a rendering; a colour picture that takes longer follows."""
+        """Measure and show a rendering; the colour picture follows if it takes longer."""
         scanner, ask = run.cell.scanner, run.ask
         power, ambient = ask.power / lit.power, ask.ambient / (lit.ambient or 1.0)
         light, rendering = (lit.number, power, ambient), _scaled(lit.rendering, power, ambient)
@@ -298,10 +298,10 @@ class _Run:
 
 
 def _light_key(config: Config, folder: Path, digests: Mapping[str, str]) -> Hashable:
-    """Return a cache key: all that the light depends on in the configuration and its files.
+    """Return a cache key of everything in the configuration and its files that affects the light.
 
     Args:
-        digests: the digests of the files that it names, except its rigs, which are read here.
+        digests: digests of the configuration's files, except rigs, which are read here.
     """
     rigs = [
         (name, described_values(scanner.rig), described_values(scanner.code))
@@ -329,16 +329,16 @@ def _state(file: Path) -> Hashable:
 
 
 def _qualities(wanted: Quality, lit: LightState | None) -> list[Quality]:
-    """Return rough qualities that improve on the present picture, then the wanted one."""
+    """Return rough qualities that improve on the present picture, then the wanted quality."""
     there = lit.quality.samples if lit is not None else 0
     rough = [replace(wanted, samples=n) for n in ROUGH if there < n < wanted.samples]
     return [*rough, wanted]
 
 
 def _scaled(rendering: Rendering, power: float, ambient: float) -> Rendering:
-    """Return the rendering with other factors of projector power and ambient light.
+    """Return the rendering with different factors for projector power and ambient light.
 
-    A light that was dark cannot be scaled up; its contribution is missing until it is rendered.
+    A light that was dark cannot be scaled up; its share is missing until it is rendered.
     """
     if power == ambient == 1:
         return rendering

@@ -1,4 +1,4 @@
-"""The process that makes the pictures; when it ends, its memory and threads are released."""
+"""The process that makes the pictures; its end releases its memory and threads."""
 
 import faulthandler
 import signal
@@ -17,7 +17,7 @@ STOP_S = 3.0  # The process is killed if it has not ended after this time.
 
 
 def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> None:
-    """Answer requests until the session ends; of several, only the last one counts."""
+    """Answer requests until the session ends; of several waiting requests, answer only the last."""
     from .line import Line, Superseded
 
     faulthandler.enable()  # If native code crashes, this prints the call stack.
@@ -101,7 +101,7 @@ class PictureProcess:
         return self._process.pid
 
     def ask(self, ask: Ask) -> None:
-        """Request a cell; of several waiting requests, the process gets only the last."""
+        """Request a picture; of several waiting requests, the process gets only the last."""
         with self._lock:
             if self._on_the_way:
                 self._waiting = ask
@@ -120,7 +120,7 @@ class PictureProcess:
                 self._send(self._waiting)
 
     def stop(self) -> None:
-        """End the process, which releases all its resources."""
+        """End the process; this releases all its resources."""
         with self._lock, suppress(BrokenPipeError, OSError):
             self._stopping, self._waiting = True, None
             self._connection.send(None)

@@ -1,8 +1,8 @@
 """The page's server: only this machine can reach it, and only its own pages can use it.
 
-It listens on the loopback address. Its check of the header Host refuses a foreign page whose name
-was made to point to this address, and the check of Origin refuses a page of another origin. There
-is no password: anyone with an account on this machine can open the page.
+It listens on the loopback address. The check of the header Host refuses a foreign page whose domain
+name was made to point to this address, and the check of Origin refuses pages of other origins.
+There is no password: anyone with an account on this machine can open the page.
 """
 
 import json
@@ -86,7 +86,7 @@ class Server:
 
     @contextmanager
     def page(self) -> Iterator["SimpleQueue[Message]"]:
-        """Add a listening page: the first one opens the session, the last one pauses it."""
+        """Add a listening page; pause the session some time after the last page has left."""
         queue: SimpleQueue[Message] = SimpleQueue()
         with self._turn:
             if self._pause is not None:
@@ -126,7 +126,7 @@ class Server:
     # --- commands of a page -------------------------------------------------------------------
 
     def do(self, command: Any) -> dict[str, Any]:
-        """Execute one command of the user, and return the result for his page.
+        """Execute one command of the user, and return the result for the user's page.
 
         Raises:
             GraycastError, ValueError: the command is not possible; nothing has changed.
@@ -171,7 +171,7 @@ class _Http(ThreadingHTTPServer):
     block_on_close = False  # A stream ends when its page or the program does.
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore pages that close during an answer, which is not an error."""
+        """Ignore errors from pages that close during an answer."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -265,7 +265,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 @cache
 def _about() -> bytes:
-    """Return the data that the page needs before the first picture."""
+    """Return the data that a page needs before the first picture."""
     return report_script(
         {
             "reasons": reason_records(),
@@ -289,7 +289,7 @@ def _kindless(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is_gone(connection: socket.socket) -> bool:
-    """Return whether the other side has closed; a browser sends nothing more on a stream."""
+    """Return whether the browser has closed a connection, on which it sends no more data."""
     readable, _, _ = select.select([connection], [], [], 0)
     return bool(readable) and connection.recv(1, socket.MSG_PEEK) == b""
 

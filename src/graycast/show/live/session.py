@@ -1,4 +1,4 @@
-"""A session: its settings with their history, its files, and the process that shows it."""
+"""A session: the settings with their history, the files, and the process that makes pictures."""
 
 import hashlib
 import re
@@ -85,7 +85,7 @@ class Session:
             return self._number
 
     def open(self) -> None:
-        """Start to make pictures, unless this has been done."""
+        """Start to make pictures, unless the process already runs."""
         with self._lock:
             if self._maker is None:
                 self._has_finished = False
@@ -223,13 +223,13 @@ class Session:
             yield
 
     def newer(self, version: int) -> list[tuple[int, Answer]]:
-        """Return each kind's latest answer if it is newer than a version, with its version."""
+        """Return version and answer for each kind's latest answer, if newer than `version`."""
         with self._lock:
             return [latest for latest in self._latest.values() if latest[0] > version]
 
     @property
     def refusal(self) -> Message | None:
-        """Message that says why the settings give no picture; None if they were not refused."""
+        """Message on why the settings give no picture; None if they were not refused."""
         with self._lock:
             return self._refusal
 
@@ -277,7 +277,7 @@ class Session:
             )
 
     def _config(self, document: Document) -> Config:
-        """Return the document's configuration; its rig file is in the session's own folder."""
+        """Return the document's configuration, whose rig file is in the session's own folder."""
         content, rig_text = files_of(document, self._path, rig_name="rig.yaml")
         if rig_text is not None:
             digest = hashlib.sha256(rig_text.encode()).hexdigest()[:16]
@@ -307,9 +307,9 @@ class Session:
         self._on_message(message)
 
     def _ended(self, by: str) -> None:
-        """Start a new process after one that ended without `stop`, to make the picture.
+        """Start a new process for the picture after a process ended without `stop`.
 
-        If the process had not finished a picture, a new one would end in the same way.
+        If the old process had not finished a picture, a new process would end in the same way.
         """
         with self._lock:
             if self._maker is None:  # `pause` was faster.
@@ -328,7 +328,7 @@ class Session:
 
 
 def _turned(document: Document) -> list[str]:
-    """Return the keys of the separate adjustments that are not neutral."""
+    """Return the keys of the separate adjustments whose values are not neutral."""
     as_it_is = asdict(RigChange())
     names = [
         f"rig.{name}" for name, value in asdict(document.rig).items() if value != as_it_is[name]

@@ -1,4 +1,4 @@
-"""Results in the form that the page reads: maps as bytes, and a header that describes them."""
+"""Results in a form for the page: maps as bytes, and a header that describes them."""
 
 import hashlib
 from collections.abc import Mapping
@@ -48,7 +48,7 @@ class PageContent:
 
 
 def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: bool) -> Answer:
-    """Return all maps of a picture, with the colour picture once it is made."""
+    """Return all maps of a picture, including the colour picture once it exists."""
     cell, depth, truth = page.cell, page.depth, page.rendering.truth
     scale_mm = depth_step_mm(cell)
     rig, codes = cell.scanner.rig, page.codes

@@ -1,4 +1,4 @@
-"""View of a contact sheet: the part of the picture with the bin, and its range of depths."""
+"""The view in a contact sheet: the part of the picture with the bin, and the range of depths."""
 
 import itertools
 
@@ -19,8 +19,8 @@ Crop = tuple[int, int, int, int]  # left, top, width and height in pixels
 def bin_crop(scene: Scene, truth: GroundTruth) -> Crop:
     """Return the rectangle of the picture that contains the bin and all visible parts.
 
-    It is at least as wide as it is high, if the picture allows. Without a bin, or if the lens model
-    does not reach a corner of the bin, it is the whole picture.
+    The rectangle is at least as wide as high, if the picture allows. Without a bin, or if the lens
+    model does not reach a corner of the bin, it is the whole picture.
     """
     camera = scene.rig.camera
     whole = (0, 0, camera.width_px, camera.height_px)
@@ -49,7 +49,7 @@ def bin_crop(scene: Scene, truth: GroundTruth) -> Crop:
 def depth_limits_mm(scene: Scene, truth: GroundTruth) -> tuple[float, float]:
     """Return the least and greatest depth of the bin and the visible parts, for the colours.
 
-    Without a bin, they are those of the whole picture.
+    Without a bin, the limits apply to the whole picture.
     """
     if scene.bin is None:
         depth_m = truth.depth_m.ravel()

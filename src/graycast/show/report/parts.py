@@ -1,4 +1,4 @@
-"""The object database as a picture and as a table."""
+"""Parts as a picture and as a table."""
 
 from pathlib import Path
 
@@ -53,10 +53,10 @@ def describe_parts(parts: tuple[Part, ...]) -> str:
 def draw_parts(
     parts: tuple[Part, ...], path: Path, *, renderer: Renderer, samples: int = 32
 ) -> None:
-    """Write a PNG: each part on a grey floor, filling its tile, with its figures below.
+    """Write a PNG: each part fills a tile, on a grey floor, with the part's figures below.
 
     All parts have the same light and exposure, so their brightness can be compared. Each scene is
-    scaled to its part, so their sizes cannot. The z axis of the part's frame points up.
+    scaled to its part, so sizes cannot be compared. The z axis of the part's frame points up.
 
     Args:
         path: the PNG file, which is written completely or not at all.
@@ -119,7 +119,7 @@ def _portrait(part: Part, *, renderer: Renderer, samples: int) -> UInt8[np.ndarr
 
 
 def portrait_scene(part: Part) -> tuple[Scene, Layout]:
-    """Return a part on a floor under two lamps, with a camera whose picture it fills."""
+    """Return a scene of a part on a floor under two lamps, with a camera whose picture it fills."""
     low, high = part.mesh.bounds_m
     middle = (low + high) / 2
     size_m = float(np.linalg.norm(high - low))
@@ -152,7 +152,7 @@ def portrait_scene(part: Part) -> tuple[Scene, Layout]:
 
 
 def _lamp(at: tuple[float, float, float], size_m: float, *, share: float, radiance: float) -> Lamp:
-    """Return a lamp whose position and size scale with the part, so that all are lit equally."""
+    """Return a lamp whose position and size scale with the part, so all parts are lit equally."""
     x, y, z = (size_m * a for a in at)
     return Lamp(center_m=(x, y, z), size_m=share * size_m, radiance=(radiance,) * 3)
 
@@ -160,8 +160,8 @@ def _lamp(at: tuple[float, float, float], size_m: float, *, share: float, radian
 def _filling_distance_m(mesh: Mesh, towards: Float[np.ndarray, "3"]) -> float:
     """Return the distance from the camera to the part's middle at which it fills the tile.
 
-    A vertex at (x, y, z) of a camera in the middle appears at f x / (z + d) after the camera has
-    moved back by d. Each vertex needs d >= f |x| / limit - z, and likewise for y.
+    A vertex at (x, y, z), from a camera in the middle, appears at f x / (z + d) after the camera
+    has moved back by d. Each vertex needs d >= f |x| / limit - z, and likewise for y.
     """
     T_middle_cam = look_at(np.zeros(3), -towards, np.array([0.0, 0.0, -1.0]))
     point = mesh.vertices_m[np.unique(mesh.faces)] - mesh.bounds_m.mean(axis=0)

@@ -1,6 +1,6 @@
 """A contact sheet of one scene: captured frames, measured depth and ground truth.
 
-Each tile shows the bin as the camera sees it. Linear pictures are converted to sRGB for display;
+Each tile shows the bin from the camera's view. Linear pictures are converted to sRGB for display;
 maps of numbers have a colour bar.
 """
 
@@ -122,7 +122,7 @@ class _Sheet:
         self._filled = 0
 
     def picture(self, title: str, image: UInt8[np.ndarray, "h w 3"]) -> Axes:
-        """Show the crop of an image in the next tile; the axes' coordinates are image pixels."""
+        """Show the crop of an image in the next tile, with axes in image pixels."""
         self._filled += 1
         ax = pixel_axes(self.figure, *self._corner(), *self.tile_px)
         ax.imshow(image, origin="upper", interpolation="antialiased", aspect="auto")
@@ -189,7 +189,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
 
 
 def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
-    """Draw the white frame, a coarse frame, and a close-up of the finest in mid-crop."""
+    """Draw the white frame, a coarse frame, and a close-up of the finest frame's middle."""
     axis = triangulation_axis(shot.sample.scene.rig)
     index = [k for k, f in enumerate(code.frames) if f.axis == axis and not f.inverse]
     coarse, finest = index[min(_COARSE_RANK, len(index) - 1)], index[-1]
@@ -278,10 +278,10 @@ def _draw_error(sheet: _Sheet, shot: Shot) -> None:
 
 
 def error_limit_mm(error_mm: Float[np.ndarray, "h w"]) -> float:
-    """Return the error at which the colours end: the smallest round one that covers the noise.
+    """Return the error at which the colours end: the smallest round value that covers the noise.
 
     The noise extends to five robust sigmas, or to the 99th percentile of the errors if that is less
-    or if more than half of the errors are 0. Outliers therefore do not widen the scale.
+    or if more than half of the errors are 0. So outliers do not widen the scale.
     """
     size_mm = np.abs(error_mm[np.isfinite(error_mm)])
     if not size_mm.size:
@@ -365,7 +365,7 @@ def tinted(
 def box_edges_px(
     part: Part, T_cam_part: Float[np.ndarray, "4 4"], camera: Optics
 ) -> Float[np.ndarray, "12 points 2"]:
-    """Return the projected twelve edges of a part's own bounding box, with lens distortion.
+    """Return the twelve projected edges of a part's own bounding box, with lens distortion.
 
     Points that the lens model does not cover, such as those behind the camera, are NaN.
     """

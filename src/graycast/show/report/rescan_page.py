@@ -1,7 +1,7 @@
 """The page of a rescan: the perfect depth of each image next to the measured depth.
 
-It is one HTML file without scripts, with pictures in its folder. If there are more images than it
-can show, evenly spaced ones are drawn.
+The page is one HTML file without scripts, with pictures in its folder. If there are more images
+than the page can show, it shows evenly spaced images.
 """
 
 import html
@@ -45,7 +45,7 @@ i { display: inline-block; width: 10px; height: 10px; margin-right: 5px; }
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanPage:
-    """The written page, and how many of the images it shows."""
+    """The written page, and the number of images that it shows."""
 
     page: Path
     images: int
@@ -58,7 +58,7 @@ def write_rescan_page(
     """Write the page of the rescan `out` to a folder.
 
     Args:
-        width_px: the largest width of its pictures.
+        width_px: the largest width of the page's pictures.
 
     Raises:
         GraycastError: `out` is not a rescan or is damaged, or the folder holds something else or

@@ -1,6 +1,6 @@
 """A rig as a picture and as text: the fields of camera and projector, and their common field.
 
-All drawings are in the camera frame: x right, y down, z is depth. A field is traced from the image
+All drawings are in the camera frame: x right, y down, z depth. A field is traced from the image
 borders through the lens model, with distortion but without occlusion, focus and light.
 """
 
@@ -35,7 +35,7 @@ def footprint_m(
         z_m: depth of the plane [m], camera frame.
 
     Returns:
-        Corners of the outline in order [m]; none if a border ray never meets the plane.
+        Corners of the outline in order [m]; empty if a border ray never meets the plane.
     """
     direction = rays(optics, _border_px(optics)) @ T_cam_device[:3, :3].T
     origin = T_cam_device[:3, 3]
@@ -48,7 +48,7 @@ def footprint_m(
 def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
     """Return the outline (x, y) of the common field at depth `z_m`, in the camera frame.
 
-    If distorted outlines intersect in several pieces, it is the largest; if not, it is empty.
+    If distorted outlines intersect in several pieces, the largest is returned; without any, [].
     """
     outlines = (
         footprint_m(rig.camera, np.eye(4), z_m),

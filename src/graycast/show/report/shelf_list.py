@@ -15,12 +15,12 @@ Size = tuple[float, float]
 def shelf_lines(
     *, field_m: Size | None = None, at_m: float | None = None, noise_m: float | None = None
 ) -> list[str]:
-    """Return a line for each suitable scanner; each number shows the class of its source.
+    """Return a line for each suitable scanner; each number is marked with the class of its source.
 
     `rig.shelf.LEGEND` explains the classes.
 
     Args:
-        field_m: sides of a rectangle that must fit into the common field at `at_m`.
+        field_m: sides of a rectangle that must fit into the common field at `at_m`, if given.
         at_m: a distance along the camera's axis, inside the working range. The line gives the
             field at this distance, or in the middle of the range if it is None.
         noise_m: the largest temporal noise of depth (one sigma) at `at_m`. A scanner without a
@@ -65,7 +65,7 @@ def stored_noise_m(name: str, z_m: float) -> float | None:
     """Return the temporal noise of depth at a distance, from three measured distances.
 
     An error in the projector's picture causes a depth error in proportion to `z^2 / (f b)` (similar
-    triangles). Noise over `z^2` is therefore interpolated linearly between the three distances, and
+    triangles). So noise divided by `z^2` is interpolated linearly between the three distances, and
     constant outside. The result is None if the scanner has not been measured.
     """
     own = measured().scanners.get(name)

@@ -116,7 +116,7 @@ def _motion(
 ) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t 3"]]:
     """Return the velocity [m/s] and the angular velocity [rad/s] of the tool at each step.
 
-    The first velocity is 0; each other one follows from the pose and the pose before.
+    The first velocity is 0; each later velocity follows from the pose and the previous pose.
     """
     before = T_world_tool[np.maximum(np.arange(len(T_world_tool)) - 1, 0)]
     velocity = (T_world_tool[:, :3, 3] - before[:, :3, 3]) / STEP_S

@@ -1,4 +1,4 @@
-"""Build the page of a dataset: only new or changed scenes, each completely or not at all."""
+"""Build a dataset's page: only new or changed scenes, each completely or not at all."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -105,19 +105,19 @@ def write_report(
     be continued. Pages of removed scenes are removed.
 
     Args:
-        out: folder of the page; it is new, empty or holds an earlier report.
+        out: folder for the page, which is new, empty or holds an earlier report.
         workers: number of processes.
         width_px: wider maps are thinned; see `scene_page_files`.
-        detections: results to show in the scenes: a file of COCO results, or a folder of
-            `graycast detector find`. None removes those of an earlier build.
+        detections: results to show in the scenes: a file of COCO results, or a folder of `graycast
+            detector find`. None removes the results of an earlier build.
         files: the folder in which the relative path of the bin's mesh begins. Without that file,
             the 3D view has no bin.
         progress: counts scenes.
 
     Raises:
-        DatasetError: the dataset has no scene, or one that cannot be read.
-        GraycastError: `out` holds something else or cannot be written, or the results belong to
-            another dataset.
+        DatasetError: the dataset has no scene, or a scene cannot be read.
+        GraycastError: `out` holds something else or cannot be written, or the results belong to a
+            different dataset.
     """
     stored = open_dataset(dataset)
     evaluation = None
@@ -134,7 +134,7 @@ def write_report(
 
 
 def _write_detections(scenes: Path, evaluation: Evaluation | None, stored: StoredDataset) -> None:
-    """Write a script for each scene with detections, and remove those of an earlier build."""
+    """Write a script for each scene with detections, and remove scripts of an earlier build."""
     scripts = {} if evaluation is None else dict(detection_scripts(evaluation, stored))
     for scene in scenes.iterdir():
         if scene.name in scripts:
@@ -161,7 +161,7 @@ def _write_page(
 
 
 def fused_script(stored: StoredDataset, first: StoredScene) -> bytes:
-    """Return the script of the fused cloud of a scene's pictures, under the first one's key.
+    """Return the script of a scene's fused cloud, under the first picture's key.
 
     Raises:
         DatasetError: a file is missing or damaged.

@@ -1,4 +1,4 @@
-"""Detections for the page: counts of each scene for the grid, and outlines for each scene.
+"""Detections for the page: figures for the grid's filters, and outlines for each scene.
 
 Detections with lower scores do not change what a detection matches. A score threshold therefore
 only selects detections, which the page can do.
@@ -21,10 +21,10 @@ _DIGITS = 4
 
 
 def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]:
-    """Return data of the grid's filters: instances to find, and scores of hits and mistakes.
+    """Return data for the grid's filters: instances to find, and scores of hits and mistakes.
 
-    Matches are judged by masks if there are any, else by boxes. Detections are of pictures in
-    `train/`, however these are divided into sets.
+    Matches are judged by masks if there are any, else by boxes. Detections belong to pictures in
+    `train/`, whatever their division into sets is.
     """
     judgement = _judgement(evaluation)
     point = judgement.point

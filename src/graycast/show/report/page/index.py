@@ -66,7 +66,7 @@ _COLUMNS = (
 
 
 def _scene_row(one: SceneFigures) -> list[Any]:
-    """Return a scene's row for filters and sorting; it is short, as thousands are loaded."""
+    """Return a scene's row for filters and sorting; it is short for pages with many scenes."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     visible = [share for share in one.visib_fract if share is not None]
     return [
@@ -105,7 +105,7 @@ def _median_depth_mm(one: SceneFigures) -> float | None:
 
 
 def _claim(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the claim without digests."""
+    """Return a dataset's claim without digests."""
     keys = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
     claim = {key: content[key] for key in keys if key in content}
     if "config" in claim:
@@ -122,7 +122,7 @@ def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
 
 
 def _scanners(stored: StoredDataset) -> dict[str, Any]:
-    """Return each scanner's rig and code by its name, or None where they are unknown."""
+    """Return each scanner's rig and code by scanner name, or None if they are unknown."""
     takers = {sensor: stored.taker(sensor) for sensor in stored.sizes_px}
     return {name: {"rig": taker.get("rig"), "code": _code(taker)} for name, taker in takers.items()}
 

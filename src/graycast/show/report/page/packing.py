@@ -72,7 +72,7 @@ def pack_words(values: UInt16[np.ndarray, "h w"], *, level: int = _LEVEL) -> str
     """Return a map of 16-bit numbers, each as its residual to a plane through three neighbours.
 
     It is `d[r, c] = v[r, c] - v[r-1, c] - v[r, c-1] + v[r-1, c-1]` modulo 2^16, with 0 outside, low
-    bytes before high bytes. On flat surfaces it is a step or two: a third of a PNG's size.
+    bytes before high bytes. On flat surfaces it is a step or two, for a third of a PNG's size.
     """
     wide = np.pad(values.astype(np.int32), ((1, 0), (1, 0)))
     left_over = wide[1:, 1:] - wide[:-1, 1:] - wide[1:, :-1] + wide[:-1, :-1]
@@ -82,7 +82,7 @@ def pack_words(values: UInt16[np.ndarray, "h w"], *, level: int = _LEVEL) -> str
 
 
 def pack_difference(values: UInt16[np.ndarray, "h w"], base: UInt16[np.ndarray, "h w"]) -> str:
-    """Return a map as its difference to another modulo 2^16; 0 where it has no value.
+    """Return a map's difference to a base map modulo 2^16; 0 where the map has no value.
 
     Signed differences are first mapped to small positive numbers (2 d, or -2 d - 1).
     """
@@ -116,7 +116,7 @@ def shrunk(picture: UInt8[np.ndarray, "..."], width_px: int) -> UInt8[np.ndarray
 def palette_picture(
     index: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], colors: dict[int, str]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return numbers in their colours (`#rrggbb`); black for a number without a colour."""
+    """Return a picture of numbers in their colours (`#rrggbb`); others are black."""
     table = np.zeros((256, 3), dtype=np.uint8)
     for number, color in colors.items():
         table[number] = list(bytes.fromhex(color[1:]))

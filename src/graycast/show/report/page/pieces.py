@@ -1,4 +1,4 @@
-"""A page in pieces, one per scene or bin; only new or changed pieces are made."""
+"""A page made of pieces, one per scene or bin; only new or changed pieces are written."""
 
 import hashlib
 import shutil
@@ -24,7 +24,7 @@ _MARK = "graycast-report"
 
 @runtime_checkable
 class Piece(Protocol):
-    """A part of the page with its own files; it is sent to a worker process that makes them."""
+    """A part of the page with its own files, which a worker process makes."""
 
     @property
     def key(self) -> str: ...
@@ -49,7 +49,7 @@ class ReportSummary:
 
 
 def stamp_of(text: str, folder: Path, names: Iterable[str]) -> str:
-    """Return a digest of the text and the state of the files; missing files are left out."""
+    """Return a digest of a text and of the files' state; missing files are left out."""
     digest = hashlib.sha256(text.encode())
     for name in names:
         path = folder / name
@@ -61,7 +61,7 @@ def stamp_of(text: str, folder: Path, names: Iterable[str]) -> str:
 
 @contextmanager
 def writing_page(out: Path, source: Path) -> Iterator[None]:
-    """Open the page's folder, and convert errors of the disk inside the block.
+    """Open the page's folder, and convert disk errors inside the block to `GraycastError`.
 
     Args:
         out: a folder that is new, empty, or holds an earlier report.
@@ -90,7 +90,7 @@ def write_pieces(
     what: str,
     progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
-    """Make the new and changed pieces, and remove those that no longer exist.
+    """Make the new and changed pieces, and remove pieces that no longer exist.
 
     Args:
         out: the page's folder, opened with `writing_page`.
@@ -129,7 +129,7 @@ class Web:
 
 
 def write_web(out: Path, web: Web) -> None:
-    """Write the files that a browser runs except index.js, which holds the page's content."""
+    """Write the files that a browser loads, except index.js, which holds the page's content."""
     folders = [resources.files(name).joinpath("web") for name in (web.package, __package__)]
     for name in ("style.css", "core.js", "app.js", *web.styles, *web.scripts):
         file = next(file for folder in folders if (file := folder.joinpath(name)).is_file())

@@ -199,7 +199,7 @@ def _instances(scene: SceneContent) -> list[dict[str, Any]]:
 
 
 def _reason_thumb(scene: SceneContent) -> bytes:
-    """Return a thumbnail of reasons, not averaged: mixed colours could mean another reason."""
+    """Return a thumbnail of reasons without averaging: mixed colours could mean a wrong reason."""
     stride = max(-(-scene.reason.shape[1] // THUMB_PX), 1)
     names = {**scene.reason_name, NO_REASON: "missing"}
     colors = {number: REASON_COLOR.get(name, MISSING_COLOR) for number, name in names.items()}

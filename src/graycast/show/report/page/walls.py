@@ -1,4 +1,4 @@
-"""Meshes as the 3D views of pages read them, and the bin of a dataset."""
+"""Meshes in a form for the pages' 3D views, and the bin of a dataset."""
 
 from dataclasses import replace
 from pathlib import Path

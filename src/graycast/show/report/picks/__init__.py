@@ -1,4 +1,4 @@
-"""A folder of picks as a web page that replays it."""
+"""A web page that replays a folder of picks."""
 
 from .picks_page import write_pick_report
 

@@ -1,4 +1,4 @@
-"""The page's files of a bin: a thumbnail, a script of its attempts, and one for each scan."""
+"""The page's files for a bin: a thumbnail, a script of attempts, and a script per scan."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class BinPiece:
         return stamp_of(f"picks {_FORM} {self.width_px}", self.folder, (EPISODE, MOTION, WORK))
 
     def files(self) -> Iterator[tuple[str, bytes]]:
-        """Yield the files; raises GraycastError if a file of the bin is missing or damaged."""
+        """Yield the files; raise GraycastError if a file of the bin is missing or damaged."""
         replay = open_replay(self.out, folder=self.cell_folder)
         episode, motions = self.episode, read_motions(replay, self.episode)
         still = replay.T_world_limb(replay.robot.home)
@@ -86,7 +86,7 @@ def bin_key(bin_id: int) -> str:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Read an image; raises GraycastError if it is missing or damaged."""
+    """Read an image; raise GraycastError if it is missing or damaged."""
     if path.is_file():
         refuse_large_picture(path, str(path), GraycastError)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)

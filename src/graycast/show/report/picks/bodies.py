@@ -1,4 +1,4 @@
-"""Poses of bodies for the page, its table and its viewpoint."""
+"""Poses of bodies for the page, and the page's table and viewpoint."""
 
 from typing import Any
 

@@ -45,7 +45,7 @@ def write_pick_report(
         cell_folder: see `folder` of `open_replay`.
 
     Raises:
-        GraycastError: there is no bin, or a damaged one, or `out` holds something else.
+        GraycastError: there is no bin, a bin is damaged, or `out` holds something else.
     """
     episodes = read_episodes(picks)
     summary = summarize(episodes)

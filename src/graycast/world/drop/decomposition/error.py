@@ -53,7 +53,7 @@ class MeshSamples:
     tree: cKDTree
 
     def farthest_m(self, point: Float[np.ndarray, "m 3"]) -> float:
-        """Return the largest distance to the surface; 0 without points.
+        """Return the points' largest distance to the surface; 0 without points.
 
         Only the triangles of the `NEAR` nearest samples count, so it may be a little too large.
         """

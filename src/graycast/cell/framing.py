@@ -119,7 +119,7 @@ def bin_corners_m(box: Bin) -> Float[np.ndarray, "8 3"]:
 
 
 def bin_share(camera: Optics, T_world_cam: Pose, box: Bin) -> float:
-    """Return the share of a picture that lies inside the outline of the bin's inner corners."""
+    """Return the share of a picture inside the outline of the bin's inner corners."""
     corner = project(camera, transform_points(inverse(T_world_cam), bin_corners_m(box)))
     known = corner[np.isfinite(corner).all(axis=1)].astype(np.float32)
     if len(known) < 3:

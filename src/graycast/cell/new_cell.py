@@ -89,7 +89,7 @@ def framing_text(framing: Framing, part: Part, box: Bin) -> str:
     """Return a line with the chosen rig, and the sizes of bin and part in the rig's picture.
 
     If the bin fits no scanner, the line says how much is missing. If it covers little of the
-    picture, the line says that it does so with every scanner.
+    picture, the line says that the same is true for every scanner.
 
     Args:
         framing: the best scanner of the shelf.

@@ -74,8 +74,8 @@ class Cell:
     """A configuration with its files' contents. All scenes of a dataset share it.
 
     `scene` holds every kind of part; a scene drops one of the kinds, or all if `config.mix` is set.
-    Its rig and pose, and `scanner`, are those of the first image. `named` has all scanners by name,
-    if the configuration names them.
+    Its rig and pose, and `scanner`, belong to the first image. `named` has all scanners by name, if
+    the configuration names them.
     """
 
     config: Config
@@ -156,7 +156,7 @@ class Cell:
 
 
 def refuse_several(cell: Cell, who: str) -> None:
-    """Refuse a cell of several images in a stage that takes one image of a scene.
+    """Refuse a cell with several images per scene in a stage that takes only one.
 
     Raises:
         ConfigError: the configuration asks for several images.
@@ -319,8 +319,8 @@ def load_cell(
 def reach_m(cell: Cell) -> float:
     """Return the largest depth that a cell's depth pictures must hold [m], along the camera's z.
 
-    It covers the rig's working range and the deepest corner of the bin for every pose of the
-    rig that the domain allows. Only the table, which is infinite, lies deeper.
+    It covers the rig's working range and the deepest corner of the bin for every pose of the rig
+    that the domain allows. Only the table, which is infinite, is deeper.
     """
     depths_m = []
     for station, poses in _stations(cell, lambda _: farthest):

@@ -113,7 +113,7 @@ class PathSection(Settings):
 
 
 class JitterSection(Settings):
-    """Camera poses near the view, drawn for each scene; beyond 3 sigma they are drawn again."""
+    """Random camera poses near the view, new for each scene; no deviation exceeds 3 sigma."""
 
     kind: Literal["jitter"] = Field(description="The kind of the poses: jitter.")
     count: Count = Field(description="The number of images of a scene.")
@@ -353,7 +353,7 @@ def farthest(
 
 
 def refuse_inside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
-    """Refuse a camera or projector between the bin's walls or below its floor, with no view.
+    """Refuse a camera or projector between the bin's walls or below the bin's floor.
 
     Raises:
         ConfigError: the camera or the projector is at such a place.

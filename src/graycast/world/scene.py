@@ -216,7 +216,7 @@ class Layout:
 
 
 def bin_of(scene: Scene) -> Bin:
-    """Return the bin; raise an error if the scene has none.
+    """Return the scene's bin, or raise an error if there is no bin.
 
     Raises:
         ValueError: the scene has no bin.
@@ -232,7 +232,7 @@ EMPTY_LAYOUT = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, d
 
 
 def table_quad(scene: Scene) -> Quad | None:
-    """Return the table that the bin stands on; None without a bin."""
+    """Return the table under the bin; None without a bin."""
     if scene.bin is None:
         return None
     return Quad(

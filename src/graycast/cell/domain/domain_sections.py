@@ -217,7 +217,7 @@ class LampRanges(Settings):
 
 
 class PartRanges(Settings):
-    """The look of each kind of part. All parts of a kind look alike."""
+    """Ranges of each kind's look. All parts of a kind have the same look."""
 
     brightness: PositiveSpan = Field(
         default=(0.7, 1.4),

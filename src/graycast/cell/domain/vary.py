@@ -192,7 +192,7 @@ def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
 
 
 def moved_rig(scene: Scene, values: Record) -> Float[np.ndarray, "4 4"]:
-    """Turn the rig about its target; tilt and azimuth add to those of `rig.place`."""
+    """Turn the rig about its target; tilt and azimuth add to the angles of `rig.place`."""
     T_cam_rig = frame_in_camera(scene.rig)
     T_world_rig = scene.T_world_cam @ T_cam_rig
     rotation, middle = T_world_rig[:3, :3], T_world_rig[:3, 3]

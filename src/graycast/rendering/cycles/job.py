@@ -55,7 +55,7 @@ def need_renders(pattern: Patterns) -> list[int]:
 
 
 def pattern_frames(numbers: Sequence[int], per_render: int) -> tuple[Render, ...]:
-    """Return renders with one or three patterns each; the last one is filled up with white."""
+    """Return renders with one or three patterns each; white fills up the last render."""
     frames = []
     for first in range(0, len(numbers), per_render):
         levels = tuple(numbers[first : first + per_render])
@@ -118,7 +118,7 @@ def write_job(
 
 
 def is_simple(camera: Optics) -> bool:
-    """Return whether Blender's own camera model suffices; others need Open Shading Language."""
+    """Return whether Blender's own camera model suffices, without Open Shading Language."""
     square = camera.fx_px == camera.fy_px and camera.fill_factor == 1
     return square and camera.is_pinhole and not camera.has_distortion
 

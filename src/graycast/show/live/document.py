@@ -55,7 +55,7 @@ class Document:
 
 
 def changed(document: Document, key: str, value: Any) -> Document:
-    """Return the document with another value; None removes a key, so that its default applies.
+    """Return the document with a new value; None removes a key, so that its default applies.
 
     Args:
         key: `ambient`, a field of `RigChange` after `rig.`, or a key of the configuration in

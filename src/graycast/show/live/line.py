@@ -76,7 +76,7 @@ class Line:
         Args:
             folder: the folder where the configuration's relative paths start.
             emit: called with every answer.
-            superseded: returns whether another request has arrived.
+            superseded: returns whether a newer request has arrived.
         """
         self._folder, self._scene_id, self._device = folder, scene_id, device
         self._emit, self._superseded = emit, superseded

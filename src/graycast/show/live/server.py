@@ -70,7 +70,7 @@ class Server:
         self._http.serve_forever(poll_interval=_BEAT_S)
 
     def close(self) -> None:
-        """End `run`, which another thread executes."""
+        """End `run`, which runs in a different thread."""
         self._http.shutdown()
         self.release()
 
@@ -175,7 +175,7 @@ class _Http(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """The handler of one request of a browser."""
+    """A handler for one request from a browser."""
 
     server: _Http
     protocol_version = "HTTP/1.1"

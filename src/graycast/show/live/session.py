@@ -146,7 +146,7 @@ class Session:
             self._take(self._requests[number], draft=False)
 
     def look(self, frame: int) -> None:
-        """Show another captured frame."""
+        """Show a different captured frame."""
         with self._lock:
             self._frame = frame
             self._show()
@@ -210,7 +210,7 @@ class Session:
             }
 
     def _controls(self, config: Config) -> dict[str, Any]:
-        """Return the controls; none if the rig is unreadable, so that its text can be corrected."""
+        """Return the controls; none if the rig is unreadable, so that users can correct it."""
         try:
             return described_controls(config, resolve_scanner(config, self._path.parent))
         except (GraycastError, ValueError, OSError):
@@ -218,7 +218,7 @@ class Session:
 
     @contextmanager
     def standing_still(self) -> Iterator[None]:
-        """Block settings and answers, so that a page that joins misses none."""
+        """Block settings and answers, so that a page that joins misses no message."""
         with self._lock:
             yield
 

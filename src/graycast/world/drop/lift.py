@@ -1,9 +1,9 @@
 """Simulation of a tool that lifts a part out of the heap and holds or loses it.
 
-The tool follows a given path, whatever forces act on it. The part hangs on the tool by springs and
-dampers, like a suction cup on its bellows; their force is known at every step, and the tool's own
-law says whether the grip holds. The grip therefore carries its true load: the weight, parts that
-lie on the part, friction at walls, and the accelerations of the path.
+The tool follows a given path, and forces on the tool do not change it. The part hangs on the tool
+by springs and dampers, like a suction cup on its bellows; their force is known at every step, and
+the tool's own law says whether the grip holds. The grip therefore carries its true load: the
+weight, parts that lie on the part, friction at walls, and the accelerations of the path.
 
 Leaves out: collisions of the tool's body, which the planner must prevent.
 """
@@ -81,8 +81,8 @@ def lift(
 
     Args:
         number: index of the part that the tool holds.
-        T_world_tool: the path, a pose for each step of `STEP_S`; the first is where the tool is
-            on the part.
+        T_world_tool: the path, a pose for each step of `STEP_S`; at the first pose the tool is on
+            the part.
     """
     kinds = [RapierPart.of(body) for body in bodies]
     heap = open_heap(

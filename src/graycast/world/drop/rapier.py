@@ -6,8 +6,8 @@ It runs in one thread, so equal starts give equal ends, bit for bit, on one type
 
 Leaves out: bouncing (restitution is 0), rolling friction, bending, air. Friction of a pair is the
 mean of the two coefficients; the engine's cone gives 86 to 100 % of it, by direction. Flat faces
-come to lie 0.2 mm above the bin and 0.4 mm apart (`SKIN_M`); curved ones, whose hulls were thinned,
-closer or slightly into each other.
+come to rest 0.2 mm above the bin and 0.4 mm apart (`SKIN_M`); curved faces, whose hulls were
+thinned, are closer or overlap slightly.
 """
 
 from dataclasses import dataclass
@@ -287,8 +287,8 @@ def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.nda
 def overlap_m(a: Float[np.ndarray, "v 3"], b: Float[np.ndarray, "w 3"]) -> float:
     """Return the shortest move that separates two point sets' convex hulls; 0 if they are apart.
 
-    The hulls overlap where their Minkowski difference `{p - q}` holds the origin, and the depth
-    is the origin's distance to the nearest face of it.
+    The hulls overlap if their Minkowski difference `{p - q}` contains the origin, and the depth is
+    the origin's distance to its nearest face.
 
     Source: Ericson, "Real-Time Collision Detection", 2005, section 9.3 (Minkowski difference).
     """

@@ -5,9 +5,9 @@ moves far. Then they **rest** in a new world without the speeds, forces or conta
 without these walls, with nine tenths of the friction, and without damping. Only a part that leaves
 its place is damped, until it rests again. So a heap at rest needs no support by the simulation.
 
-Rest is defined by positions over time, not by an instantaneous speed. Damping replaces what the
-engine does not model (rolling friction, bending, air). It is small at first and then grows, so that
-rocking parts come to rest. Parts fall no faster than 1 m/s, as if lowered by hand.
+Rest is defined by positions over time, not by an instantaneous speed. Damping replaces effects that
+the engine does not model (rolling friction, bending, air). It is small at first and then grows, so
+that rocking parts come to rest. Parts fall no faster than 1 m/s, as if lowered by hand.
 """
 
 from collections import deque

@@ -109,8 +109,8 @@ def drop(
 ) -> Layout:
     """Drop `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
 
-    Attempt k starts from `stream(seed, k)`; the first layout without `flaws`
-    is returned, with its attempt number. One seed gives one layout, bit for bit.
+    Attempt k starts from `stream(seed, k)`; the first layout without `flaws` is returned, with its
+    attempt number. Equal seeds give equal layouts, bit for bit.
 
     Args:
         counts: number of parts of each kind, 0 to 255 in total; a total of 0 leaves the bin empty.
@@ -245,7 +245,7 @@ def start_poses(
     A cell is as large as the largest part's bounding sphere, which is centred on the part's box.
     Cells are stacked in layers from the rim up; a part may have any orientation in its cell. In a
     bin narrower than the sphere a cell is as wide as the bin, and orientations that do not fit
-    between the walls are drawn again.
+    between the walls are replaced by new random ones.
 
     Args:
         box: the bin; the grid is above its inner rectangle.

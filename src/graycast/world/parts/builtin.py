@@ -1,8 +1,8 @@
 """The built-in parts: our counterparts of the paper's five parts, modelled in code.
 
 Each is centred on its bounding box. Shapes are modelled in millimetres and scaled once. A filled
-package is one solid of uniform density: its mass is right, its centre of mass and its
-moments of inertia are those of an evenly filled body.
+package is one solid of uniform density: its mass is right, but its centre of mass and its moments
+of inertia assume even filling.
 """
 
 from importlib.resources import files
@@ -272,8 +272,8 @@ def _chain(path_mm: list[tuple[float, float]], *, radius_mm: float, width_mm: fl
 def _wrap(corner_mm: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3 2"]:
     """Return the position on the wrapped label, 0 to 1: arc length from the seam at +y, and height.
 
-    The arc length is that of the widest section at the same polar angle. Seen from above it runs
-    counter-clockwise, which a reader in front sees as left to right.
+    The arc length is measured on the widest section, at the same polar angle. Seen from above it
+    runs counter-clockwise, so a reader in front sees it run from left to right.
     """
     half_x, half_y, height = _SPRAY_BODY_MM[0] / 2, _SPRAY_BODY_MM[1] / 2, _SPRAY_BODY_MM[2]
     outline = superellipse(half_x, half_y, 3.2, 0.0, 960)[:, :2]

@@ -43,7 +43,7 @@ class Grain:
 class Material:
     """A surface in a few physical words.
 
-    `base_color` is linear RGB reflectance; where `texture` (8-bit sRGB, row 0 on top, mapped by the
+    `base_color` is linear RGB reflectance; if a `texture` (8-bit sRGB, row 0 on top, mapped by the
     mesh's uv with v up) is given, it replaces the colour. `metallic` 0 is a dielectric: diffuse
     base under a clear rough coat whose normal reflectance is `0.08 * specular` (0.5 is an index of
     1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal reflectance

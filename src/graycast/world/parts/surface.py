@@ -226,7 +226,7 @@ def union_if_overlapping(
 ) -> tuple[Manifold, float] | None:
     """Return the union of overlapping bodies, and the share of volume that they have in common.
 
-    A shell that faces inwards is a cavity of the smallest body whose box holds its own.
+    A shell that faces inwards is a cavity of the smallest body whose box contains the shell's box.
 
     Returns:
         None if no two bodies share more than `TOUCHING` of the whole volume: the mesh needs no

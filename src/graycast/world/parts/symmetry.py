@@ -47,7 +47,7 @@ def motions(symmetry: Symmetry) -> Float[np.ndarray, "n 4 4"]:
 def nearest_member(
     T: Float[np.ndarray, "4 4"], symmetry: Symmetry, *, near: Float[np.ndarray, "4 4"] | None = None
 ) -> Float[np.ndarray, "4 4"]:
-    """Return, among all poses that look the same, the one nearest to a reference orientation.
+    """Return the pose that is nearest to a reference orientation among all that look the same.
 
     Of all motions S of the symmetry, the T S with the rotation R of greatest `trace(W.T R)` is
     taken. If W is the reference's rotation, this gives the least angle to it. Without a reference W
@@ -154,7 +154,7 @@ def turns_together(
 
 
 def joined(first: Symmetry, second: Symmetry) -> Symmetry:
-    """Join two symmetries; the second's continuous axes apply only if the first has none.
+    """Join two symmetries; the second's continuous axes apply only if the first has no such axes.
 
     A body has at most one motion for each rotation, so motions are compared by rotation alone.
     """

@@ -46,7 +46,7 @@ class Nodes:
         return node
 
     def put(self, socket: bpy.types.NodeSocket, value: object) -> None:
-        """Set a socket to a value, or link it to the output of another node."""
+        """Set a socket to a value, or link the socket to the output of a node."""
         if isinstance(value, bpy.types.NodeSocket):
             self.tree.links.new(value, socket)
         else:

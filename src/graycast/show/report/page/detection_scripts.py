@@ -24,7 +24,7 @@ def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, 
     """Return data for the grid's filters: instances to find, and scores of hits and mistakes.
 
     Matches are judged by masks if there are any, else by boxes. Detections belong to pictures in
-    `train/`, whatever their division into sets is.
+    `train/`, however these are divided into sets.
     """
     judgement = _judgement(evaluation)
     point = judgement.point

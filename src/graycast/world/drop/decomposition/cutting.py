@@ -148,7 +148,7 @@ def _cut_anywhere(
 def _best_cut(
     piece: Manifold, planes: Iterable[Plane], filling: float, *, even: float, thin_m: float
 ) -> tuple[list[Manifold], float]:
-    """Return the parts with the least left to fill, and the volume left.
+    """Return the parts of the best cut, and the volume that their hulls then fill in excess.
 
     If planes leave about the same volume, a plane with few parts of even size and a small cut wins.
     So a plate is not split into two thinner ones with the same holes.

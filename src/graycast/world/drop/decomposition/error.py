@@ -148,7 +148,7 @@ class Decomposition:
 
 
 def measure(mesh: Mesh, hulls: tuple[Hull, ...]) -> Decomposition:
-    """Return hulls with their largest errors outside and inside the mesh."""
+    """Return hulls with their largest errors, outside and inside the mesh."""
     solid = Manifold.batch_boolean(bodies_of(mesh), OpType.Add)
     surface = surface_samples(solid)
     filled = max(filled_m(Manifold.hull_points(corners), solid, surface) for corners, _ in hulls)

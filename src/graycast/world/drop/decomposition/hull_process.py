@@ -2,8 +2,7 @@
 
 The libraries do not react to Ctrl-C while they work, and a part with many faces takes long. The
 parent therefore waits, and can kill its children. Files carry the mesh to a child and the hulls
-back. A child writes each stage as a line to stdout. A closed stdin tells it that the parent has
-ended.
+back. A child writes each stage as a line to stdout. A closed stdin means that the parent has ended.
 """
 
 import json

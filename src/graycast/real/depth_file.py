@@ -30,13 +30,13 @@ class FileOptions:
     """Facts that a user states because files leave them open.
 
     Attributes:
-        K: intrinsics [px]; organised clouds bring their own where this is None.
+        K: intrinsics [px]; None takes those of an organised cloud from its points.
         distortion: k1, k2, p1, p2, k3 of OpenCV.
-        scale_m: metres per unit of depth; whole numbers need one, floats are metres.
-        size_px: width and height of clouds that do not say it.
-        ray_length: whether depth is the distance from the camera along each pixel's ray, which
-            becomes z.
-        max_depth_m: depth beyond it is taken as missing; None has no limit.
+        scale_m: metres per unit of depth; required for integers; None reads floats as metres.
+        size_px: width and height of a cloud whose file does not state them.
+        ray_length: whether depth is the distance from the camera along each pixel's ray; it is
+            converted to z.
+        max_depth_m: largest depth; anything beyond counts as missing; None has no limit.
     """
 
     K: Float[np.ndarray, "3 3"] | None = None
@@ -52,11 +52,11 @@ NO_OPTIONS = FileOptions()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthFile:
-    """Depth [m], NaN where there is none, its camera, and the look that a cloud has of its own.
+    """Depth [m], NaN where there is none, its camera, and the colours if a cloud has some.
 
     `gray` is the mean of the colours as a share of their range. `largest_px` counts the pixels with
-    the largest number of the file's type, which is no distance, and `beyond_px` those with depth
-    beyond the largest that was asked for.
+    the largest number of the file's type, which is no distance, and `beyond_px` the pixels with
+    depth beyond `FileOptions.max_depth_m`.
     """
 
     depth_m: Float[np.ndarray, "h w"]
@@ -68,11 +68,11 @@ class DepthFile:
 
 
 def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
-    """K from 'fx,fy,cx,cy' [px] or from a file: NPY or text with 3 x 3 numbers, or JSON with
-    `cam_K` or `fx`, `fy`, `cx`, `cy`, as BOP has them, or with the 3 x 3 numbers as a list.
+    """Read K from 'fx,fy,cx,cy' [px] or from a file: NPY or text with 3 x 3 numbers, or JSON with
+    BOP's `cam_K` or `fx`, `fy`, `cx`, `cy`, or with the 3 x 3 numbers as a list.
 
     Raises:
-        DatasetError: it is none of these.
+        DatasetError: the text is none of these.
     """
     wanted = "give fx,fy,cx,cy or a file of 3 x 3 numbers (.npy, .txt, .json) or of BOP's keys"
     path = Path(text)
@@ -101,7 +101,7 @@ def read_depth(path: Path, options: FileOptions) -> DepthFile:
     """Return a depth map from its file.
 
     Raises:
-        DatasetError: it is missing, damaged or of another form, or something is not stated.
+        DatasetError: the file is missing, damaged or of another form, or an option is missing.
     """
     if path.suffix.lower() == ".ply":
         return _read_cloud(path, options)
@@ -169,7 +169,7 @@ def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
 def _without_far(
     depth_m: Float[np.ndarray, "h w"], options: FileOptions
 ) -> tuple[Float[np.ndarray, "h w"], int]:
-    """Return depth up to the largest that was asked for, and how many pixels lie beyond it."""
+    """Return depth up to the largest allowed one, and the number of pixels beyond that."""
     beyond = depth_m > (np.inf if options.max_depth_m is None else options.max_depth_m)
     return np.where(beyond, np.nan, depth_m), int(beyond.sum())
 
@@ -178,8 +178,8 @@ def _camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:
     """Return K of the pinhole camera that sees each point in its own pixel, by least squares.
 
     Raises:
-        ValueError: too few points, or none such within half a pixel: a lens with distortion, or
-            points of another frame.
+        ValueError: too few points, or no pinhole camera fits them well enough: the lens has
+            distortion, or the points are in another frame.
     """
     y, x = np.nonzero(~np.isnan(point[..., 2]))
     if len(x) < 100:
@@ -201,7 +201,7 @@ def _camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:
 def _size(
     path: Path, header: list[str], count: int, size_px: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """Return width and height: the given ones, or those of the header."""
+    """Return width and height: the given ones, else those in the header."""
     size_of = {}
     for line in header:
         words = line.split()
@@ -254,7 +254,7 @@ def read_gray(path: Path) -> Float[np.ndarray, "h w"]:
 
 
 def depth_files(folder: Path) -> list[Path]:
-    """`depth.npy` alone where `graycast rig decode` wrote it, else all that may be depth."""
+    """Return only `depth.npy` if there is one (of `graycast rig decode`), else all depth files."""
     if (folder / "depth.npy").is_file():
         return [folder / "depth.npy"]
     files = [file for file in visible_entries(folder) if file.suffix.lower() in DEPTH_FILES]
@@ -288,7 +288,7 @@ def load_json(path: Path, remedy: str) -> dict[str, Any]:
     """Return the keys of a JSON file.
 
     Raises:
-        DatasetError: there is no such file, or it has none; the text ends with the remedy.
+        DatasetError: there is no such file, or it has no keys; the text ends with the remedy.
     """
     try:
         content = parse_json(path.read_bytes())
@@ -302,7 +302,7 @@ def load_json(path: Path, remedy: str) -> dict[str, Any]:
 
 
 def _json_K(content: dict[str, Any] | list[Any]) -> Float[np.ndarray, "rows columns"]:
-    """BOP's `camera.json`, an entry of `scene_camera.json`, or the first of all; K; or a list."""
+    """Read K from a list, from `fx` to `cy`, from `K`, or from `cam_K` of a (first) BOP entry."""
     if isinstance(content, list):
         return np.array(content, dtype=np.float64, ndmin=2)
     if "fx" in content:

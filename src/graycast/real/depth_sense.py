@@ -26,10 +26,10 @@ def refuse_beyond(depth_m: AnyDepth, *, near_m: float, far_m: float, name: str, 
 
     Args:
         depth_m: z [m]; NaN where there is none. A map without depth is not refused.
-        whose: a clause that says what has the range, such as "the detector learnt".
+        whose: a clause that says where the range comes from, such as "the detector learnt".
 
     Raises:
-        DatasetError: the median is beyond the range by half of its end, or more.
+        DatasetError: the median is far outside of the range (see `BEYOND`).
     """
     known = depth_m[np.isfinite(depth_m)]
     middle_m = float(np.median(known)) if known.size else near_m
@@ -42,10 +42,10 @@ def refuse_beyond(depth_m: AnyDepth, *, near_m: float, far_m: float, name: str, 
 
 
 def filled_holes(depth_m: AnyDepth, name: str) -> str | None:
-    """Return a sentence about holes that were filled with the farthest depth; None without any.
+    """Return a sentence about holes filled with the farthest depth; None if there are none.
 
-    Pixels at exactly the farthest depth are a fill if they are a large share, or, however few, if
-    nothing lies near them: a sentinel such as 65.535 m in a picture of floating-point numbers.
+    Pixels at exactly the farthest depth count as filled if they are a large share, or, even if few,
+    if no other depth is near: a sentinel such as 65.535 m in a picture of floating-point numbers.
 
     Leaves out: a wall of one exact depth, which no scanner measures but a perfect picture may have.
     """
@@ -72,14 +72,14 @@ def _percent(share: float) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneShares:
-    """Shares of depth pictures that are on one plane each, for both meanings of depth."""
+    """Shares of pixels on the largest plane of their picture, for both meanings of depth."""
 
     as_z: float
     as_length: float
 
     @property
     def lengths(self) -> bool | None:
-        """Whether the depth is that of rays; None if it does not tell."""
+        """Whether the depth is the length of rays; None if the shares do not decide that."""
         if max(self.as_z, self.as_length) < _PLANE_SHARE:
             return None
         if self.as_length > _TIMES * self.as_z:
@@ -88,13 +88,13 @@ class PlaneShares:
 
 
 def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
-    """Return the share of depth pictures on planes, if depth is z and if it is a ray length.
+    """Return the shares of pixels on planes if depth is z and if depth is a ray length.
 
-    A floor or a table is the largest plane of most pictures. Taken for the wrong kind of depth it
-    is a bowl: at 30 degrees from the axis, the length of a ray is 15 % more than its z. A plane is
-    linear in the picture if the reciprocal of z is: `1 / z = a x + b y + c`.
+    A floor or a table is the largest plane of most pictures. Read as the wrong kind of depth, the
+    plane becomes a bowl: at 30 degrees from the axis, a ray is 15 % longer than its z. On a plane,
+    the reciprocal of z is linear over the picture: `1 / z = a x + b y + c`.
 
-    Leaves out: pictures without a plane, and narrow fields of view with much noise, tell nothing.
+    Leaves out: pictures without a plane, and narrow views with much noise, decide nothing.
 
     Args:
         depths_m: z or lengths [m], NaN where there is none, of the size of the optics.

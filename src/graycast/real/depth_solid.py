@@ -38,8 +38,8 @@ def surfaces(
     """Return the surface at each pixel of the solid without the noise; NaN elsewhere.
 
     The inverse depth of a plane is linear over the picture, so each pixel gets the plane or the
-    paraboloid of inverse depth that lies nearest to the pixels about it. These count the less the
-    farther they are from the surface of the round before, so that edges stay sharp.
+    paraboloid of inverse depth that fits best to the pixels around it. Pixels farther from the
+    surface of the round before have lower weights, so that edges stay sharp.
     """
     value = np.where(solid, 1 / np.where(solid, depth_m, 1.0), np.nan)
     fitted = np.zeros((*solid.shape, _TERMS))
@@ -52,11 +52,11 @@ def surfaces(
 def smooth_slopes(
     depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], rounds: Rounds
 ) -> Planes:
-    """Return the surface of `surfaces` after two more rounds, over 7 x 7 and 13 x 13 pixels.
+    """Return the result of `surfaces` after two more rounds, over 7 x 7 and 13 x 13 pixels.
 
-    Its slopes are those for shading: noise makes them less uneven. They are those of planes, which
-    noise turns less at the rim of a surface than a paraboloid. Pixels across a step that is over
-    three times as high as the last round's distance do not count; a much lower one is smoothed.
+    Its slopes are meant for shading, because noise makes them less uneven. The fits are planes,
+    which noise tilts less at the rim of a surface than paraboloids. Pixels across a step over three
+    times as high as the last round's distance do not count; a much lower step is smoothed.
     """
     near_m = rounds[-1][2]
     return surfaces(depth_m, solid, (*rounds, (3, 3, near_m), (_SHADING_PX, 3, near_m)))
@@ -64,7 +64,7 @@ def smooth_slopes(
 
 @kernel(parallel=True)
 def _fitted(value, before, radius, terms, near_m):
-    """Return a round of `surfaces`: weighted least squares about each pixel that has a value."""
+    """Return the result of one round of `surfaces`: weighted least squares around each pixel."""
     height, width = value.shape
     fitted = before.copy()
     for i in numba.prange(height):
@@ -104,7 +104,7 @@ def _fitted(value, before, radius, terms, near_m):
 
 @kernel(inline="always")
 def _solve(A, b):
-    """Solve `A x = b` by Cholesky's factors in place; `A` has its lower half, `b` becomes x."""
+    """Solve `A x = b` in place by Cholesky's factors; only A's lower half is read; b becomes x."""
     n = len(b)
     for k in range(n):
         for m in range(k + 1):
@@ -130,16 +130,16 @@ def solid_of(
     covered: Float[np.ndarray, "h w 4"] | None = None,
     shading: Planes | None = None,
 ) -> Mesh:
-    """Return the solid under the surfaces, in the camera frame; uv are those of the picture.
+    """Return the solid under the surfaces, in the camera frame; uv refer to the picture.
 
     Each pixel is a rectangle whose corners lie at the pixel's corners. Neighbours share a corner if
     their surfaces meet there. Where the surface is flat, pixels are joined to larger squares.
 
     Args:
-        ground_m: the depth to which the sides run, NaN where nothing is known of it.
-        step_m: neighbours whose surfaces are farther apart do not meet.
-        covered: how much of the pixel on its left, right, upper and lower side a pixel's surface
-            covers as well; None if edges lie between pixels.
+        ground_m: depth to which the sides run; NaN where it is unknown.
+        step_m: depth difference from which the surfaces of neighbours do not meet.
+        covered: for each pixel, the shares of its left, right, upper and lower neighbours that its
+            surface covers as well; None if edges are between pixels.
         shading: smoother surfaces whose slopes give the shading normals of the top. A corner has
             the mean slope of the pixels that share it, which are never on two sides of a step.
             None leaves the solid without normals, so that it is shaded flat.
@@ -201,7 +201,7 @@ _CORNER_PX = np.array([-0.45, -0.48])  # x and y from the centre of pixel (i, j)
 def _corners(
     planes: Planes, step_m: float
 ) -> tuple[Int[np.ndarray, "h1 w1 4"], Float[np.ndarray, " v"]]:
-    """Return each corner's vertices for its four pixels (-1: none), and all inverse depths."""
+    """Return each corner's vertex for each of its four pixels (-1: none), and inverse depths."""
     height, width = planes.shape[:2]
     value = np.full((height + 1, width + 1, 4), np.nan)
     for k, (down, right) in enumerate(_ABOUT):
@@ -247,10 +247,10 @@ def _normals(
     inverse_m: Float[np.ndarray, " v"],
     slope: Float[np.ndarray, "v 2"],
 ) -> Float[np.ndarray, "v 3"]:
-    """Return the unit normals, towards the camera, of surfaces with these slopes of inverse depth.
+    """Return unit normals, towards the camera, of surfaces with these slopes of inverse depth.
 
-    A point is `ray / inverse depth`; the normal is across its derivatives along x and y, which are
-    here both multiplied by the square of the inverse depth.
+    A point is `ray / inverse depth`; the normal is perpendicular to the point's derivatives along x
+    and y, which are here both multiplied by the square of the inverse depth.
     """
     ray = rays(camera, pixel)
     tangents = [
@@ -265,7 +265,7 @@ def _normals(
 def _outwards(
     vertex: Int[np.ndarray, "h1 w1 4"], covered: Float[np.ndarray, "h w 4"], count: int
 ) -> Float[np.ndarray, "v 2"]:
-    """Return how many pixels each vertex must move, so that surfaces cover the wanted share."""
+    """Return the shift [px] of each vertex with which surfaces cover the wanted shares."""
     most, least = np.zeros((count, 2)), np.zeros((count, 2))
     for k, (down, right) in enumerate(_ABOUT):
         i, j = np.nonzero(vertex[..., k] >= 0)
@@ -281,7 +281,7 @@ def _outwards(
 def _pixel_corners(
     vertex: Int[np.ndarray, "h1 w1 4"], solid: Bool[np.ndarray, "h w"]
 ) -> Int[np.ndarray, "h w 4"]:
-    """The vertices of each pixel, counter-clockwise from its upper left one; -1 without surface."""
+    """Return each pixel's vertices, counter-clockwise from the upper left; -1 without surface."""
     corners = [vertex[:-1, :-1, 3], vertex[1:, :-1, 1], vertex[1:, 1:, 0], vertex[:-1, 1:, 2]]
     return np.where(solid[..., None], np.stack(corners, axis=-1), -1)
 
@@ -289,9 +289,9 @@ def _pixel_corners(
 def _rim(
     corners: Int[np.ndarray, "h w 4"],
 ) -> tuple[Int[np.ndarray, "e 2"], Bool[np.ndarray, "h w"]]:
-    """Return the sides of pixels that no neighbour shares, and which pixels have such a side.
+    """Return the sides of pixels that no neighbour shares, and a mask of pixels with such a side.
 
-    A side has the direction of the pixel's own faces.
+    The two vertices of a side are in the order of the pixel's own faces.
     """
     around = np.pad(corners, ((1, 1), (1, 1), (0, 0)), constant_values=-1)
     height, width = corners.shape[:2]
@@ -309,11 +309,11 @@ def _rim(
 def _blocks(
     corners: Int[np.ndarray, "h w 4"], planes: Planes, beside_rim: Bool[np.ndarray, "h w"]
 ) -> Int[np.ndarray, "n 4"]:
-    """Return the vertices of the rectangles of the surface: pixels, and blocks where it is flat.
+    """Return the vertices of the surface's rectangles: pixels, and blocks where it is flat.
 
-    Squares of 2, 4, ... pixels become one if the four in it are alike: their mean planes lie within
-    `_FLAT_M` of the plane of the square. Where a large square meets small ones, these have vertices
-    on its side, which are off it by as little, along the camera's rays: the camera sees no crack.
+    Four squares become one if their mean planes are within `_FLAT_M` of the mean plane of all
+    four. Where a large square meets small ones, the small squares have vertices on its side, which
+    are off by as little and along the camera's rays, so that the camera sees no crack.
     """
     rectangles = [corners[beside_rim & (corners[..., 0] >= 0)]]
     whole, mean, size = ~beside_rim, planes, 1  # state of all squares of the current size
@@ -333,7 +333,7 @@ def _blocks(
 def _joined(
     whole: Bool[np.ndarray, "h w"], mean: Planes, size: int
 ) -> tuple[Bool[np.ndarray, "h2 w2"], Float[np.ndarray, "h2 w2 3"]]:
-    """Return which groups of four squares become one, and the mean plane of each group."""
+    """Return a mask of the groups of four squares to join, and the mean plane of each group."""
     rows, columns = (n // 2 for n in whole.shape)
     four = mean[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, 3)
     larger: np.ndarray = four.mean(axis=(1, 3))
@@ -351,7 +351,7 @@ def _joined(
 
 
 def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:
-    """Return the ground's depth at places in the picture, or the nearest known one."""
+    """Return the ground's depth at places in the picture; unknown depth is the nearest known."""
     unknown = ~np.isfinite(ground_m)
     if unknown.all():
         return np.zeros(len(pixel))
@@ -360,6 +360,6 @@ def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> 
 
 
 def from_nearest(image: np.ndarray, missing: Bool[np.ndarray, "_ _"]) -> np.ndarray:
-    """Return the image with each missing value replaced by the nearest known one."""
+    """Return the image with each missing value replaced by the nearest known value."""
     nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     return image[tuple(nearest)]

@@ -30,7 +30,7 @@ LEAST_OF_VIEW = 4  # Fewer corners do not determine the pose of the board.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observations:
-    """Corners of all views in one row each: where both devices see them."""
+    """Corners of all views, one per row, with their positions in both devices."""
 
     view: Int[np.ndarray, " n"]
     point_m: Float[np.ndarray, "n 3"]  # in the board's frame
@@ -52,12 +52,12 @@ def joined(parts: Sequence[Observations]) -> Observations:
 class Adjustment:
     """Outcome of the fit. Residuals are (x, y), measured minus predicted, of every observation.
 
-    `residual_px` has them without the camera's share in the projector's, `sigma_px` the standard
-    deviation of these in each device. `inlier` says which observations the fit rests on.
+    `residual_px` has the residuals, the projector's without the camera's share, and `sigma_px`
+    their standard deviation in each device. `inlier` says which observations the fit rests on.
     `deviation` is the standard deviation of each fitted number: "camera.fx_px", "projector.k1",
     "T_proj_cam.x_m", "baseline_m". `undetermined` has the radial terms that are 0
-    because the corners do not tell them from it: what the fit said of each before, and its standard
-    deviation.
+    because the corners do not distinguish them from 0: each term's value before that, and its
+    standard deviation.
     """
 
     camera: Optics
@@ -75,12 +75,12 @@ class Adjustment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stands:
-    """Outcome of a fit in which each group of views has the devices in a stand of its own.
+    """Outcome of a fit in which each group of views has its own pose between the devices.
 
     A stand is a pose between the devices: `number` holds its six unknowns, `information` the
-    inverse of their covariance where the lenses are known. `residual_px` is of every observation
-    in the camera and, without the camera's share, in the projector; `sigma_px` is the standard
-    deviation of both.
+    inverse of their covariance if the lenses are known. `residual_px` has the residuals of every
+    observation in the camera and, without the camera's share, in the projector; `sigma_px` is their
+    standard deviation in each device.
     """
 
     T_cam_proj: Float[np.ndarray, "stands 4 4"]
@@ -102,12 +102,12 @@ def adjust(
     """Fit all unknowns by weighted least squares, each device weighted by its own residuals.
 
     The projector's coordinate is read at the place where the camera found the corner, so an error
-    of that place stands in both residuals; it is taken out of the projector's first. What
-    is left there is the code's own error, often far smaller: it ties the two devices together.
+    of that place is in both residuals; it is first removed from the projector's. The rest of the
+    projector's residual is the code's own error, often far smaller: it ties the devices together.
     The start is Zhang's calibration of each device alone (OpenCV). Corners beyond six times
     the median residual are left out once and the rest is fitted again. Then, as long as a device's
     last radial term is less than 5 standard deviations from 0, that term is 0 and the rest is
-    fitted once more: a number that noise has made bends the picture where no corner was seen.
+    fitted once more: a term fitted to noise bends the picture where no corner was seen.
 
     Source: Z. Zhang, "A flexible new technique for camera calibration", TPAMI 2000; B. Triggs et
     al., "Bundle adjustment - a modern synthesis", 2000.
@@ -171,7 +171,7 @@ def adjust_stands(
 
 
 def _information(jacobian, view, stand) -> Float[np.ndarray, "stands 6 6"]:
-    """Information on each stand that is left when the poses of its boards are unknown."""
+    """Return the information on each stand, given that the poses of its boards are unknown."""
     stands = int(stand.max()) + 1
     total = np.zeros((stands, 6, 6))
     rows = jacobian.reshape(len(view), 4, -1)
@@ -185,7 +185,7 @@ def _information(jacobian, view, stand) -> Float[np.ndarray, "stands 6 6"]:
 
 
 def _robust_fit(start, free, obs: Observations, stand):
-    """Return the corners that agree with a first fit, those of a second, and the second."""
+    """Return a mask of the corners that agree with a first fit, these corners, and their fit."""
     fitted, *_ = _fit(start, free, obs, stand)
     size = np.linalg.norm(_independent(_residuals(fitted, obs, stand), obs), axis=2)
     inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
@@ -196,7 +196,7 @@ def _robust_fit(start, free, obs: Observations, stand):
 
 
 def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
-    """Index, value and deviation of each device's last radial term that is not significant."""
+    """Return index, value and deviation of each device's last radial term if not significant."""
     deviation = _deviations(fitted, free, jacobian)
     loose = {}
     for first, device in ((0, "camera"), (len(DEVICE), "projector")):
@@ -230,7 +230,7 @@ def _free(radial_terms: int, tangential: bool, *, poses: int) -> Bool[np.ndarray
 
 
 def _residuals(unknown, obs: Observations, stand) -> Float[np.ndarray, "n 2 2"]:
-    """Measured minus predicted (x, y) [px] of every corner, in the camera and in the projector."""
+    """Return measured minus predicted (x, y) [px] of every corner, in camera and projector."""
     camera, projector, T_proj_cam, T_cam_board = _unpack(unknown, stand)
     T, between = T_cam_board[obs.view], T_proj_cam[stand[obs.view]]
     in_cam = np.einsum("nij,nj->ni", T[:, :3, :3], obs.point_m) + T[:, :3, 3]
@@ -242,19 +242,19 @@ def _residuals(unknown, obs: Observations, stand) -> Float[np.ndarray, "n 2 2"]:
 
 
 def _independent(residual, obs: Observations) -> Float[np.ndarray, "n 2 2"]:
-    """Return residuals with the camera's share taken out of the projector's."""
+    """Return the residuals, with the camera's share subtracted from the projector's."""
     carried = np.einsum("nij,nj->ni", obs.per_camera_px, residual[:, 0])
     return np.stack([residual[:, 0], residual[:, 1] - carried], axis=1)
 
 
 def _image(device, point_m):
-    """`optics.project` of nine numbers, without its end at the fold, which the search may cross."""
+    """Project points with nine numbers of a device; unlike `optics.project`, also past the fold."""
     ideal = point_m[:, :2] / point_m[:, 2:]
     return distort(ideal, tuple(device[4:])) * device[:2] + device[2:4]
 
 
 def _fit(start, free, obs: Observations, stand):
-    """Unknowns, the Jacobian of the residuals in units of their standard deviations, and these."""
+    """Return the unknowns, the Jacobian of the residuals in standard deviations, and the latter."""
     sigma_px, unknown = np.ones(2), start
 
     def errors(free_values):
@@ -289,7 +289,7 @@ def _fit(start, free, obs: Observations, stand):
 
 
 def _jacobian(errors, values, view, stand) -> Float[np.ndarray, "rows unknowns"]:
-    """Return central differences; all poses of one kind at once, for each moves its own views."""
+    """Return central differences; poses of one kind vary together, as each moves its own views."""
     step = 1e-6 * np.maximum(np.abs(values), 1e-2)
     views, stands = len(stand), int(stand.max()) + 1
     shared = len(values) - 6 * (stands + views)
@@ -311,7 +311,7 @@ def _jacobian(errors, values, view, stand) -> Float[np.ndarray, "rows unknowns"]
 
 
 def _deviations(unknown, free, jacobian) -> dict[str, float]:
-    """Standard deviations from the inverse of the normal matrix, of the devices and their pose."""
+    """Return standard deviations of the devices and their pose, from the inverse normal matrix."""
     scale = np.linalg.norm(jacobian, axis=0)  # the unknowns' units differ by orders of magnitude
     unit = jacobian / scale
     covariance = np.linalg.pinv(unit.T @ unit) / np.outer(scale, scale)
@@ -349,7 +349,7 @@ def poses_between(
 def rms_alone_px(
     obs: Observations, position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
 ) -> float:
-    """Return the RMS residual of the corners of one device in a calibration of it alone."""
+    """Return the RMS residual of one device's corners when that device is calibrated alone."""
     return _alone(obs, position_px, size_px)[2]
 
 
@@ -371,7 +371,7 @@ def _middle(T: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def _alone(obs: Observations, position_px, size_px):
-    """Calibrate one device with OpenCV, by two radial terms; return also the poses and the RMS."""
+    """Calibrate one device with two radial terms (OpenCV); return it, the poses and the RMS."""
     views = range(int(obs.view.max()) + 1)
     point = [obs.point_m[obs.view == v].astype(np.float32) for v in views]
     position = [position_px[obs.view == v].astype(np.float32) for v in views]

@@ -1,8 +1,8 @@
 """The views that agree on one rig, and their fit: no pose between the devices may differ.
 
-A median over the views cannot see that a device moved halfway through them. So the fit with one
-pose between the devices is compared with the fit in which each view has its own: where the first
-has far larger residuals, the views are parted into groups of one pose each.
+A median over the views cannot show that a device moved halfway through them. So the fit with one
+pose between the devices is compared with the fit in which each view has its own pose: if the first
+fit has far larger residuals, the views are divided into groups of one pose each.
 """
 
 import math
@@ -39,7 +39,7 @@ def fit_agreeing(
 ) -> tuple[Observed, Adjustment]:
     """Return the views that fit together, and their fit.
 
-    The fit's standard deviations contain how far the poses of the views scatter.
+    The fit's standard deviations include the scatter of the poses of the views.
 
     Args:
         sizes_px: (width, height) of the camera and of the projector.
@@ -79,10 +79,10 @@ def _converged(fitted: Callable[..., Fit], *arguments: Any) -> Fit | None:
 def _parted(
     observed: Observed, each: Stands | None, fit: Adjustment | None, some: Callable[..., Stands]
 ) -> dict[str, str]:
-    """Return the few views that have the devices elsewhere than the others, with the reason.
+    """Return the few views in which the devices are not where most views have them, with reasons.
 
     Raises:
-        CalibrationError: they are not few, or no groups of views have one pose each.
+        CalibrationError: too many views differ, or no grouping gives each group one pose.
     """
     if each is None or (fit is not None and not _above(fit.sigma_px, each.sigma_px, APART)):
         return {}
@@ -115,10 +115,10 @@ def _above(sigma_px, least_px, factor: float) -> bool:
 
 
 def _partings(each: Stands) -> Iterator[Int[np.ndarray, " views"]]:
-    """Yield groups of views, the most likely first: two in the order of the views, then any.
+    """Yield groupings of the views, the likeliest first: two successive groups, then any groups.
 
-    The distance of two groups is by how much the squares of the residuals (in variances) grow if
-    both have one pose; the two nearest are joined, and so on.
+    The distance of two groups is the growth of the squared residuals (in variances) if the groups
+    share a pose; the two nearest groups are joined again and again.
 
     Source: J. H. Ward, "Hierarchical grouping to optimize an objective function", JASA 1963.
     """
@@ -148,7 +148,7 @@ def _cost(each: Stands, a: list[int], b: list[int]) -> float:
 
 
 def _squares(each: Stands, some) -> float:
-    """Return the squared distances of some views' poses from their mean, in their variances."""
+    """Return the sum of squared distances of some views' poses from their mean, in variances."""
     information, number = each.information[some], each.number[some]
     weighted = np.einsum("kij,kj->ki", information, number)
     mean = np.linalg.lstsq(information.sum(axis=0), weighted.sum(axis=0), rcond=None)[0]
@@ -157,7 +157,7 @@ def _squares(each: Stands, some) -> float:
 
 
 def _moved(observed: Observed, group, parted: Stands, fit: Adjustment | None) -> str:
-    """Return the sentence for groups of which none is a clear majority."""
+    """Return the error text for groups without a clear majority."""
     members = [np.flatnonzero(group == k) for k in range(group.max() + 1)]
     members.sort(key=lambda some: some[0])
     names = " and ".join(_names(observed, some) for some in members)
@@ -182,7 +182,7 @@ def _names(observed: Observed, some) -> str:
 
 
 def _apart(parted: Stands, a: int, b: int) -> str:
-    """Return how far the projector turns and shifts before the camera between two stands."""
+    """Return, as text, the projector's rotation and shift relative to the camera in two stands."""
     T_a, T_b = parted.T_cam_proj[a], parted.T_cam_proj[b]
     turn_rad = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude()
     shift_m = np.linalg.norm(T_b[:3, 3] - T_a[:3, 3])
@@ -190,7 +190,7 @@ def _apart(parted: Stands, a: int, b: int) -> str:
 
 
 def _since(others, group) -> str:
-    """Return what follows where the views that are left out are the last ones."""
+    """Return an addition to the reason if the views left out are the last ones, else no text."""
     last = others[-1] == len(group) - 1 and len(others) > 1
     if not last or others[-1] - others[0] != len(others) - 1:
         return ""
@@ -198,7 +198,7 @@ def _since(others, group) -> str:
 
 
 def _spoiling(observed: Observed, fit: Adjustment) -> dict[str, str]:
-    """Return the view that fits worst, if it fits far worse than the others, and by how much."""
+    """Return the worst view and the reason, if it fits far worse than the other views."""
     index = range(len(observed.views))
     lost = [1 - fit.inlier[observed.corners.view == k].mean() for k in index]
     if max(lost) > MOST_LOST:
@@ -220,7 +220,7 @@ def _spoiling(observed: Observed, fit: Adjustment) -> dict[str, str]:
 
 
 def _worst_outlier(observed: Observed, fit: Adjustment) -> dict[str, str]:
-    """Return the view that fits badly and worst, unless too few views would be left."""
+    """Return the worst of the views that fit badly, unless too few views would remain."""
     left = len(observed.views) - 1
     enough = (1 - MINORITY) * (len(observed.views) + len(observed.left_out))
     outliers = outlying(observed, fit)
@@ -231,7 +231,7 @@ def _worst_outlier(observed: Observed, fit: Adjustment) -> dict[str, str]:
 
 
 def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]]:
-    """Return the views that fit badly: in how many medians of all views, and the sentence."""
+    """Return the views that fit badly, with their residual in medians of all views and a text."""
     views: dict[str, tuple[float, str]] = {}
     for device in ("camera", "projector"):
         size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
@@ -253,11 +253,11 @@ def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]
 
 
 def _widened(fit: Adjustment, each: Stands | None, views: int) -> dict[str, float]:
-    """Return the standard deviations, larger where the poses of the views scatter beyond noise.
+    """Return the standard deviations, larger if the poses of the views scatter more than noise.
 
-    The residuals of one view go astray together (a board that is bent or moved), so the views
-    count and not their corners. The squares (in variances) by which one pose for all views
-    is worse than one for each have the mean `6 (views - 1)` where there is nothing but noise.
+    The residuals of one view err together (if the board is bent or moved), so the number of views
+    counts, not that of corners. With noise alone, the sum of squares (in variances) is larger with
+    one pose for all views than with one for each by `6 (views - 1)` on average.
 
     Source: R. T. Birge, "The calculation of errors by the method of least squares", Physical
     Review 40, 1932.

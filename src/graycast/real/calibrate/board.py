@@ -17,7 +17,7 @@ FORMS = (
 
 
 class CalibrationError(GraycastError):
-    """Pictures of a board that no rig can be calculated from; the text says which and why."""
+    """Error for pictures of a board that give no rig; the text says which pictures and why."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,11 +25,11 @@ class Board:
     """A flat board of `squares_x` by `squares_y` squares, with or without markers in the white.
 
     Board frame: origin at the outer corner of the first square, x along a row of squares,
-    y along a column, z into the board, seen from its front. Counts are of squares: a board of
-    9 x 6 squares has 8 x 5 inner corners. `legacy` is ChArUco's layout of OpenCV before 4.6, which
-    differs where `squares_y` is even.
+    y along a column, z into the board, seen from its front. A board of 9 x 6 squares has 8 x 5
+    inner corners. `legacy` means the ChArUco layout of OpenCV before 4.6, which differs if
+    `squares_y` is even.
 
-    Leaves out: a board that is not flat or not printed to scale; either goes into the result.
+    Leaves out: a board that is not flat or not printed to scale; such errors go into the result.
     """
 
     squares_x: int
@@ -91,7 +91,7 @@ class Board:
 
 
 def parse_board(text: str) -> Board:
-    """Return a board from its text, as given to `--board`; a ChArUco's may end in `:legacy`.
+    """Return a board from its text, as given to `--board`; a ChArUco text may end in `:legacy`.
 
     Raises:
         ValueError: the text is no board; the message shows the two forms.

@@ -31,9 +31,9 @@ RANGE_MARGIN = 0.1  # The range extends beyond the nearest and farthest corner b
 class ViewResidual:
     """Residuals of one view after the fit.
 
-    `epipolar_rms_px` is the distance of a projector corner from the line on which the camera's
-    corner puts it. `left_out` corners disagreed so strongly that the fit does without them; they
-    are not in the residuals. `undecoded` ones had no code around them.
+    `epipolar_rms_px` is the distance of the projector corners from the epipolar lines of the
+    camera's corners. `left_out` counts the corners that disagreed so strongly that the fit and the
+    residuals leave them out. `undecoded` counts the corners without code around them.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Calibration:
 
     `coverage` is the share of the camera's and of the projector's picture within the hull of all
     corners: outside it the distortion is a guess. `undetermined` has the radial terms that are 0
-    because the corners do not tell them from it, with what was fitted and its standard deviation.
+    because the corners do not distinguish them from 0, with the fitted value and its deviation.
     `warnings` are for the user to read.
     """
 
@@ -86,19 +86,19 @@ def calibrate_rig(
     Args:
         projector_size_px: (width, height).
         near_m: nearest depth of the working range; None takes the nearest corner less 10 %.
-        far_m: likewise farthest.
-        radial_terms: how many of k1, k2, k3 are fitted at most, 0 to 3; the rest are 0, and so are
-            last terms that the corners do not determine.
+        far_m: farthest depth of the working range; None takes the farthest corner plus 10 %.
+        radial_terms: largest number of k1, k2, k3 to fit, 0 to 3; the rest are 0, and so are last
+            terms that the corners do not determine.
         tangential: whether p1 and p2 are fitted.
 
-    Views without a board, with too few decoded corners, of a mirrored code, of a pose that another
-    view has, or that spoil the fit of the others are left out; a warning names each.
+    A view is left out, and named in a warning, if it has no board, too few decoded corners, a
+    mirrored code or the pose of another view, or if it spoils the fit of the other views.
 
     Raises:
-        CalibrationError: too few views are left, or the result is one that no device can have; the
-            text names the views and the remedy.
+        CalibrationError: too few views remain, or no device can have the result; the text names
+            the views and the remedy.
 
-    Leaves out: skew; a board that is bent; defocus, whose blur is taken to leave edges in place.
+    Leaves out: skew; bent boards; defocus, because its blur is assumed not to move edges.
     """
     if radial_terms not in range(4):
         raise ValueError(f"radial_terms is {radial_terms}; give 0 to 3")
@@ -165,7 +165,7 @@ def epipolar_distance_px(
 ) -> Float[np.ndarray, " n"]:
     """Return the signed distance of projector points from their camera points' epipolar lines [px].
 
-    Both are undistorted first; the distance is scaled by the mean focal length of the projector.
+    Points are undistorted first; the distance is scaled by the projector's mean focal length.
     """
     T_proj_cam = inverse(T_cam_proj)
     normal = np.cross(T_proj_cam[:3, 3], rays(camera, camera_px) @ T_proj_cam[:3, :3].T)
@@ -175,7 +175,7 @@ def epipolar_distance_px(
 
 
 def _refuse_impossible(fit: Adjustment) -> None:
-    """Refuse a result that no camera or projector has, or that the views do not determine."""
+    """Refuse a result that no camera or projector can have or that the views do not determine."""
     for device, optics, residual_px in (
         ("camera", fit.camera, fit.camera_residual_px),
         ("projector", fit.projector, fit.projector_residual_px),
@@ -197,7 +197,7 @@ def _refuse_impossible(fit: Adjustment) -> None:
 
 
 def _impossible(optics: Optics, rms_px: float):
-    """Yield properties that no device has, with their values."""
+    """Yield the fitted properties that no device can have, with their values."""
     width_px, height_px = optics.width_px, optics.height_px
     aspect = optics.fx_px / optics.fy_px
     if not 1 / MOST_ASPECT < aspect < MOST_ASPECT:
@@ -216,7 +216,7 @@ def _impossible(optics: Optics, rms_px: float):
 
 
 def _check_fold(device: str, optics: Optics) -> None:
-    """Refuse a fit that could not be used: rays must exist over the whole picture."""
+    """Refuse a fit whose rays do not exist over the whole picture, because it cannot be used."""
     x, y = (np.linspace(-0.5, size_px - 0.5, 33) for size_px in (optics.width_px, optics.height_px))
     try:
         rays(optics, np.stack(np.meshgrid(x, y), axis=-1))
@@ -248,7 +248,7 @@ def _view_residual(
 
 
 def _rms(residual: Float[np.ndarray, "n d"]) -> float:
-    """Return the root mean square length; NaN without any vector."""
+    """Return the root mean square length of vectors; NaN if there are no vectors."""
     return float(np.sqrt(np.square(residual).sum(axis=1).mean())) if len(residual) else math.nan
 
 
@@ -267,7 +267,7 @@ def _symptoms(views: Sequence[BoardView], observed: Observed):
 
 
 def _warnings(rig: Rig, views: Sequence[ViewResidual], fit: Adjustment, coverage):
-    """Warnings about the reliability of the rig."""
+    """Yield warnings about the reliability of the rig."""
     if len(views) < GOOD_VIEWS:
         yield f"only {len(views)} views: {GOOD_VIEWS} or more make the result steady"
     normal = fit.T_cam_board[:, :3, 2]
@@ -308,7 +308,7 @@ def _loose(rig: Rig, deviation: dict[str, float]):
 
 
 def describe_calibration(calibration: Calibration) -> str:
-    """Return residuals of each view, then the rig with the standard deviation of each number."""
+    """Return a text: residuals of each view, the rig, and the deviation of each of its numbers."""
     lines = ["view: corners, left out, undecoded; RMS camera, projector, epipolar [px]; tilt [deg]"]
     for view in calibration.views:
         lines.append(

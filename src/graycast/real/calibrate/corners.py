@@ -29,8 +29,8 @@ CODE_OUTLIER = 3.0  # A value is an outlier beyond this many robust standard dev
 class Corners:
     """Inner corners of one board seen in one picture.
 
-    `id` indexes `Board.corners_m`; `position_px` is (x, y). `px_per_square[i]` maps a step on the
-    board, in squares, to one in the picture, at corner i.
+    `id` indexes `Board.corners_m`; `position_px` is (x, y). At corner i, `px_per_square[i]` maps a
+    step on the board, in squares, to a step in the picture.
     """
 
     id: Int[np.ndarray, " n"]
@@ -43,16 +43,16 @@ class Corners:
 
 
 def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
-    """Find the board's inner corners in a picture of it, evenly lit.
+    """Find the board's inner corners in an evenly lit picture of the board.
 
-    OpenCV finds the board; then each corner is fitted anew as the product of two blurred edges,
+    OpenCV finds the board; then each corner is refined as the product of two blurred edges,
     since OpenCV's own sub-pixel positions are off by 0.05 to 0.1 px in sharp pictures.
 
     Args:
         image: grey levels of any scale.
 
     Raises:
-        CalibrationError: no such board is in the picture, or too little of it.
+        CalibrationError: the picture does not show such a board, or shows too little of it.
     """
     grey = _to_range(image)
     byte = np.rint(255 * grey).astype(np.uint8)
@@ -80,16 +80,16 @@ def refine_corners(
     *,
     reach: float = REFINE_REACH,
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Corners fitted to the picture as two crossing edges, and which of them are corners at all.
+    """Fit each corner to the picture as two crossing edges; return also a mask of the good fits.
 
-    `I(p) = (m + c erf(u / s) erf(v / s)) (1 + g . (p - p0))`, u and v the distances from two
-    lines through p0 at angles of their own, s the blur, g a gradient of the light; all nine
-    unknowns by Gauss-Newton on the pixels within `reach` squares and 15 px, all corners at once.
+    The model is `I(p) = (m + c erf(u / s) erf(v / s)) (1 + g . (p - p0))`: u and v are distances
+    from two lines through p0 with independent angles, s is the blur, g a gradient of the light.
+    Gauss-Newton finds the nine unknowns from the pixels within `reach` squares and 15 px.
 
-    The picture is smoothed first: where a sharp edge runs along the pixel rows its place within a
-    pixel is else no smooth function of the grey levels, and the fit may stray by half a pixel.
+    The picture is smoothed first: otherwise, if a sharp edge runs along the pixel rows, the grey
+    levels do not vary smoothly with the edge's place, and the fit may be off by half a pixel.
 
-    Leaves out: lines bent by distortion, 0.005 px in the lenses tried.
+    Leaves out: lines bent by distortion, which shift corners by 0.005 px with the lenses tried.
     """
     offset, weight = _window(start_px, px_per_square, reach)
     centre = np.rint(start_px).astype(np.intp)
@@ -123,7 +123,7 @@ def refine_corners(
 
 
 def _to_range(image: Shaped[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Grey levels to 0..1 between their 1st and 99.5th percentile."""
+    """Scale grey levels so that their 1st and 99.5th percentiles are 0 and 1, and clip them."""
     if not np.isfinite(image).all():
         raise CalibrationError("the white picture has values that are not finite")
     low, high = np.percentile(image, [1.0, 99.5])
@@ -177,7 +177,7 @@ def _no_board(byte, board: Board) -> str:
 
 
 def px_per_square_of(board: Board, id_, position_px) -> Float[np.ndarray, "n 2 2"]:
-    """Derivative of the homography from the board, in squares, to the picture."""
+    """Return the derivative of the homography from the board, in squares, to the picture."""
     square = board.corners_m[id_, :2] / board.square_m
     H, _ = cv2.findHomography(square, position_px)
     if H is None:
@@ -190,9 +190,9 @@ def px_per_square_of(board: Board, id_, position_px) -> Float[np.ndarray, "n 2 2
 def _window(
     start_px, px_per_square, reach: float
 ) -> tuple[Int[np.ndarray, "k 2"], Float[np.ndarray, "n k"]]:
-    """Pixel offsets from the nearest pixel, and for each corner a weight of 1 on its disc.
+    """Return pixel offsets from the nearest pixel, and for each corner a weight of 1 on its disc.
 
-    The disc is one on the board, `reach` squares wide each way, so it stays on it however slanted.
+    The disc is a circle on the board with a radius of `reach` squares, however slanted the board.
     """
     widest = reach * np.linalg.norm(px_per_square, axis=(1, 2)).max()
     radius = int(np.ceil(min(widest, REFINE_REACH_PX))) + 1
@@ -221,7 +221,7 @@ def _first_guess(position, px_per_square, offset, value, weight) -> Float[np.nda
 
 
 def _edges(unknown, offset, value) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k 9"]]:
-    """Residual of the two-edge model at each pixel, and its derivative by the nine unknowns."""
+    """Return the two-edge model's residual at each pixel, and its derivative by nine unknowns."""
     x, y, a, b, s, mean, contrast, gx, gy = unknown.T[..., None]
     dx, dy = offset[:, 0] - x, offset[:, 1] - y
     u, v = np.cos(a) * dx + np.sin(a) * dy, np.cos(b) * dx + np.sin(b) * dy
@@ -262,19 +262,19 @@ def projector_corners(
     """Return the projector's column and row at each corner of the board.
 
     The board is flat, so near a corner the code is a smooth function of the camera pixel, light and
-    dark squares alike: a quadratic is fitted to each axis over the disc of 0.9 squares around the
-    corner and read at the corner. It follows perspective and both lenses to 0.001 px there,
-    and many pixels share the rounding of a plain Gray code. Gross errors are taken out in rounds.
+    dark squares alike: for each axis, a quadratic is fitted over the disc of 0.9 squares around the
+    corner and evaluated at the corner. It follows perspective and both lenses to 0.001 px, and
+    many pixels average out the rounding of a plain Gray code. Gross errors are removed in rounds.
 
     Args:
         column: decoded projector column [px]; NaN where unknown.
-        row: likewise the row.
-        sigma_column: its standard deviation, which weights the pixels; None weights all alike.
-        sigma_row: likewise of the row.
+        row: decoded projector row [px]; NaN where unknown.
+        sigma_column: standard deviation of `column`, for the weights; None weights all the same.
+        sigma_row: standard deviation of `row`, likewise.
 
     Returns:
-        Positions (x, y) [px], and what maps a step in the camera's picture to one in the
-        projector's at each corner: an error of the camera's corner is carried over by it. NaN where
+        Positions (x, y) [px], and at each corner the matrix that maps a step in the camera's
+        picture to a step in the projector's, and so an error of the camera's corner. NaN where
         fewer than 30 % of the pixels around a corner are decoded and agree.
 
     Source: D. Moreno and G. Taubin, "Simple, Accurate, and Robust Projector-Camera Calibration",
@@ -312,7 +312,7 @@ def _read_at(
     code: Float[np.ndarray, "h w"],
     sigma: Float[np.ndarray, "h w"] | None,
 ) -> tuple[float, Float[np.ndarray, "2"]]:
-    """Return a robust quadratic through the code around `centre`: its value and its slope there."""
+    """Return value and slope at `centre` of a robust quadratic fitted to the code around it."""
     nothing = (np.nan, np.full(2, np.nan))
     value = code[pixel[:, 1], pixel[:, 0]].astype(np.float64)
     weight = np.ones(len(pixel))
@@ -337,10 +337,10 @@ def _read_at(
 
 
 def _robust_fit(basis, value, weight):
-    """Return a mask of the values that agree with the smooth fit, and its coefficients.
+    """Return a mask of the values that agree with a smooth fit, and the fit's coefficients.
 
-    Least absolute deviations first (reweighted), which half of the pixels cannot pull away; then
-    those beyond three robust deviations are left out.
+    The first fit minimises absolute deviations (reweighted), so that fewer than half of the pixels
+    cannot spoil it; then pixels beyond three robust deviations are left out.
     """
     robust, before = weight, np.full(basis.shape[1], np.inf)
     for _ in range(CODE_ROUNDS):

@@ -44,9 +44,9 @@ class BoardView:
 
 
 def read_view(path: Path) -> tuple[BoardView, tuple[int, int]]:
-    """Read one pose of the board from the stack of a YAML file; return also the projector's size.
+    """Read one pose of the board from a YAML file's stack; return also the projector's size.
 
-    The board is looked for in the white frame, or in the brighter of a bit and its inverse.
+    The picture of the board is the white frame, or the brighter of a bit and its inverse.
 
     Raises:
         ConfigError, DecodeError: the stack cannot be used; see `decode_stack`.
@@ -67,7 +67,7 @@ def read_view(path: Path) -> tuple[BoardView, tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewCorners:
-    """The corners of one view, and how many more of them are not decoded."""
+    """The decoded corners of one view, and the number of corners that are not decoded."""
 
     name: str
     corners: Observations
@@ -76,7 +76,7 @@ class ViewCorners:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """The views that can belong to one rig, and why the others are left out."""
+    """The views that can belong to one rig, and the reasons why other views are left out."""
 
     views: tuple[ViewCorners, ...]
     left_out: Mapping[str, str]
@@ -87,10 +87,10 @@ class Observed:
         return _joined(self.views)
 
     def less(self, faults: Mapping[str, str]) -> "Observed":
-        """Return the same without more views.
+        """Return the views without those that have faults.
 
         Raises:
-            CalibrationError: too few views are left; the text names all that were left out.
+            CalibrationError: too few views remain; the text names all views that are left out.
         """
         good = tuple(view for view in self.views if view.name not in faults)
         left_out = {**self.left_out, **faults}
@@ -138,7 +138,7 @@ def observe(
     camera_size_px: tuple[int, int],
     projector_size_px: tuple[int, int],
 ) -> Observed:
-    """Return every corner that both devices see, in views that can belong to one rig.
+    """Return the corners that both devices see, in the views that can belong to one rig.
 
     Raises:
         CalibrationError: too few such views.
@@ -162,8 +162,8 @@ def agreeing(
 ) -> Observed:
     """Return the views that agree on both lenses and on the places of the devices.
 
-    Each device is calibrated alone: views of a faulty one fit one lens badly. Then every view says
-    where the projector stands before the camera, and must say what most of the others do.
+    Each device is calibrated alone: faulty views do not fit one lens together with the rest. Then
+    every view gives a pose of the projector, which must agree with that of most other views.
 
     Raises:
         CalibrationError: too few views agree.
@@ -174,7 +174,7 @@ def agreeing(
 
 
 def grouped(sentences: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Yield each sentence once, after the views to which it applies; numbers may differ."""
+    """Yield the names of views with the same sentence, apart from its numbers, and the sentence."""
     views: dict[str, list[str]] = {}
     for name, sentence in sentences.items():
         views.setdefault(re.sub(r"\d+", "", sentence), []).append(name)
@@ -234,7 +234,7 @@ def _refuse_same_pose(view: ViewCorners, others: Sequence[ViewCorners]) -> None:
 
 
 def _less_gross(corners: Observations) -> Observations:
-    """Return the corners but for a few wrong ones, of whose views the rest may be good."""
+    """Return the corners without gross errors; the other corners of those views may be good."""
     keep = np.ones(len(corners.view), dtype=bool)
     for k in np.unique(corners.view):
         mine = corners.view == k
@@ -250,7 +250,7 @@ def _less_gross(corners: Observations) -> Observations:
 def _misfit(
     observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> dict[str, str]:
-    """The view without which the others' corners fit one lens far better, and by how much."""
+    """Return the view without which all other corners fit one lens far better, and the reason."""
     corners = _less_gross(observed.corners)
     for device, size_px in (("camera", camera_size_px), ("projector", projector_size_px)):
         whole_px = rms_alone_px(corners, getattr(corners, f"{device}_px"), size_px)
@@ -278,9 +278,9 @@ def _misfit(
 def _elsewhere(
     observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> dict[str, str]:
-    """Return the views whose boards put the projector elsewhere than those of most others do.
+    """Return the views whose boards put the projector elsewhere than most views do, with reasons.
 
-    Only a minority is named here: where it is larger, `fit_agreeing` compares groups of views.
+    Only a minority is returned: if more views differ, `fit_agreeing` compares groups of views.
     """
     T = poses_between(_less_gross(observed.corners), camera_size_px, projector_size_px)
     between = np.einsum("aji,bjk->abik", T[:, :3, :3], T[:, :3, :3])

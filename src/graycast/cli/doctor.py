@@ -52,7 +52,7 @@ class Finding:
 
 
 def examine() -> tuple[Finding, ...]:
-    """Return findings for all libraries and devices; risky checks run in a child process."""
+    """Return findings for all libraries and devices; checks that may crash run in a child."""
     return (*_software(), *_machine(), *_devices())
 
 

@@ -40,7 +40,7 @@ class Backbone(nn.Module):
         channels: tuple[int, ...],
         end: tuple[str, ...],
     ) -> None:
-        """Run `steps` in turn; `taps` put out maps; ignore weights whose names start with `end`."""
+        """Set the order of `steps`, those with maps (`taps`), and weights to skip (`end`)."""
         super().__init__()
         self.name, self.channels = name, channels
         self._steps, self._taps, self._end = tuple(steps), frozenset(taps), end

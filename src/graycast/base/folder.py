@@ -202,7 +202,7 @@ def refuse_foreign(out: Path, mark: str) -> None:
         mark: the name of the file that marks an earlier result.
 
     Raises:
-        GraycastError: `out` is a file, or contains other files.
+        GraycastError: `out` is a file, or has other content.
     """
     if out.exists() and not out.is_dir():
         raise GraycastError(f"{out}: is a file: choose a folder")

@@ -122,7 +122,7 @@ def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanne
         resolution: resolution of a preset; ignored for a file, which has its own.
 
     Raises:
-        ConfigError: the text names no preset and no rig file, or the resolution is unknown.
+        ConfigError: the text names no preset or readable rig file, or the resolution is unknown.
     """
     if resolution not in RESOLUTIONS:
         choices = ", ".join(RESOLUTIONS)

@@ -215,7 +215,7 @@ def _tiled(value: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
 
 
 def _tiled_products(weight, x1, y1, x2, y2) -> Float[np.ndarray, "n 2 2"]:
-    """Return each tile's sum of the products of two pictures' slopes, as symmetric matrices."""
+    """Return the sum over each tile of the products of two slopes, as symmetric matrices."""
     xx, yy = _tiled(weight * x1 * x2), _tiled(weight * y1 * y2)
     xy = _tiled(weight * (x1 * y2 + y1 * x2)) / 2
     return np.stack([np.stack([xx, xy], axis=-1), np.stack([xy, yy], axis=-1)], axis=-2)

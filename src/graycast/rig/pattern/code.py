@@ -265,7 +265,7 @@ def micro_phase(
     """Make a code for micro phase shifting: six short periods that are nearly equal.
 
     The first has three steps, each other one step. Nearly equal periods have the same mean and
-    amplitude. Interreflections average out such short periods, and so hardly change the phases.
+    amplitude. Interreflections average out such short periods, and so do no harm.
 
     Source: M. Gupta, S. Nayar, "Micro Phase Shifting", CVPR 2012; the periods are our own.
     """

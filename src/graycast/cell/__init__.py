@@ -8,11 +8,11 @@ Each imports only from those above it:
     stored_bin       the bin of a stored dataset
     framing          how much of a picture a bin and a part cover; the scanner that fits a bin
     new_cell         a commented configuration for one part
-    resolve a configuration with its files' contents, shared by all scenes
+    resolve          a configuration with its files' contents, shared by all scenes
     metering         the region of a picture from which a scanner meters its exposure
     simulate         one scene, from its seeds (`base.streams`) to its sample
-    remedies changed settings that give the parts more depth, tried on a scene's light
-    engine workers that make scenes: this process, other processes, or a cluster
+    remedies         changed settings that give the parts more depth, tried on a scene's light
+    engine           workers that make scenes: this process, other processes, or a cluster
     generate         many scenes of a cell in the folder of a dataset (`dataset.store`), and the
                      missing ones after a stop
 """

@@ -60,7 +60,7 @@ def best_framing(box: Bin, names: Iterable[str] = SCANNERS) -> Framing:
 
 
 def _nearest(rig: Rig, box: Bin) -> Framing:
-    """Return the least distance at which a scanner fits, or the distance with the least missing.
+    """Return the least distance at which a scanner fits, else the distance of least `missing_m`.
 
     Distances are multiples of `STEP_M`.
     """

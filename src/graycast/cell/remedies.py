@@ -65,8 +65,7 @@ def depth_shares(
 def advice(now: DepthShares, tries: Mapping[str, DepthShares]) -> str:
     """Return a text on wrong depths, and on the change that adds most depth without more of them.
 
-    A change that adds even more depth, but also more wrong depths, is named with its share of
-    these.
+    A change that adds even more depth, but also more wrong depths, is named with both shares.
 
     Args:
         tries: the shares after each change, by the change's words.

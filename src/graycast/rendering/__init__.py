@@ -5,13 +5,13 @@ set Mitsuba's variant.
 
 Each module imports only from those above it:
 
-    radiance a renderer's results, and the protocol `Renderer`
-    wavelength the scene in light with the projector's wavelength
+    radiance       a renderer's results, and the protocol `Renderer`
+    wavelength     the scene in light with the projector's wavelength
     trial          a small picture, rendered in a process that a broken driver may crash
     bsdf           materials of Mitsuba
     denoise        denoising by Open Image Denoise
     path_noise     the error of a pixel from a finite number of light paths
-    device finds the render devices that work, and opens a device
+    device         finds the render devices that work, and opens a device
     reference      planes and spheres in direct light, exact, in NumPy
     cycles         Blender Cycles in a separate process, with a render for each pattern
     mitsuba        Mitsuba 3, with one pass of light paths for all patterns

@@ -4,6 +4,6 @@ Each imports only from those above it:
 
     parts            meshes with materials, built in or from the user's files
     bins             a bin from a mesh file
-    scene the world before physics and light, and the layout of the parts
+    scene            the world before physics and light, and the layout of the parts
     drop             parts fall until they rest: Scene -> Layout
 """

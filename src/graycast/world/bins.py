@@ -123,7 +123,7 @@ def _floor_m(mesh: Mesh) -> float:
 
 
 def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
-    """Return the positions of the two opposite walls along x, and of those along y."""
+    """Return the positions of the two walls that bound x, and of the two that bound y."""
     middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
     segment, normal = _cut(mesh, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, height_m]))
     sides = np.empty((2, 2))

@@ -64,8 +64,8 @@ class Bin:
 class Quad:
     """A flat rectangle: centre and half edges in world coordinates [m]; lit on one side.
 
-    Its front faces along `cross(half_u_m, half_v_m)`. A texture starts at the corner `-half_u_m -
-    half_v_m` and repeats every `texture_size_m`; None spreads it over the whole quad.
+    Its front faces along `cross(half_u_m, half_v_m)`. A texture starts at the corner
+    `-half_u_m - half_v_m` and repeats every `texture_size_m`; None spreads it over the whole quad.
     """
 
     center_m: tuple[float, float, float]

@@ -1,6 +1,6 @@
 """Random values of a domain: all differences of a scene from the cell, as JSON.
 
-Each section has its own random stream, so a change in one section leaves other sections' values.
+Each section has its own random stream, so changes of one section do not affect other sections.
 """
 
 import math

@@ -210,7 +210,7 @@ class Session:
             }
 
     def _controls(self, config: Config) -> dict[str, Any]:
-        """Return the controls; none if the rig is unreadable, so that users can correct it."""
+        """Return the controls, or none if the rig is unreadable, so users can correct its text."""
         try:
             return described_controls(config, resolve_scanner(config, self._path.parent))
         except (GraycastError, ValueError, OSError):

@@ -48,7 +48,7 @@ def footprint_m(
 def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
     """Return the outline (x, y) of the common field at depth `z_m`, in the camera frame.
 
-    If distorted outlines intersect in several pieces, the largest is returned; without any, [].
+    If distorted outlines overlap in several pieces, it is the largest; without overlap, empty.
     """
     outlines = (
         footprint_m(rig.camera, np.eye(4), z_m),

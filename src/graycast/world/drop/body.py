@@ -74,7 +74,7 @@ def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
 def motion_m(
     T_world_part: Float[np.ndarray, "t n 4 4"], box_m: Float[np.ndarray, "n 8 3"]
 ) -> Float[np.ndarray, "t n"]:
-    """Return, for each pose of each part, how far a point of it is from its last position [m].
+    """Return, per pose of each part, the largest distance of a point from its last position [m].
 
     `box_m` has the corners of a box around each part, in the part's frame. The distance is a convex
     function of the point, so no point in the box moved farther than a corner.

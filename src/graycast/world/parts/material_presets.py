@@ -1,11 +1,11 @@
 """Named materials, such as `material: steel` in a configuration.
 
-The colour of a pure metal is its reflectance at normal incidence in air, `((n - 1)^2 + k^2) / ((n +
-1)^2 + k^2)`, at 610, 550 and 465 nm, which stand for the three bands; `n` and `k` are published and
-linear between the wavelengths of their tables. The colour of a nonmetal with a source is the
-measured reflectance at the same wavelengths. A transparent material's colour is the share of light
-that 10 mm transmit; its source is that of the index. Everything else is our choice, including every
-roughness, anisotropy and scattered share: a start, until the user knows the part's. Brushed and
+The colour of a pure metal is its reflectance at normal incidence in air,
+`((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)`, at 610, 550 and 465 nm, one for each band; `n` and `k` are
+published and linear between the wavelengths of their tables. The colour of a nonmetal with a source
+is the measured reflectance at the same wavelengths. A transparent material's colour is the share of
+light that 10 mm transmit; its source is that of the index. Everything else is our choice, including
+every roughness, anisotropy and scattered share: a start, until the part's are known. Brushed and
 ground metal has its grooves along x of the mesh, turned metal about z.
 
 `surface` names the measured numbers of a finish. Classes of Ra do not give a roughness, because

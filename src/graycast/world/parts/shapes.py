@@ -61,7 +61,7 @@ def _band(rows: int, columns: int, *, closed: bool) -> Int[np.ndarray, "f 3"]:
 def superellipse(
     half_x: float, half_y: float, exponent: float, z: float, points: int
 ) -> Float[np.ndarray, "n 3"]:
-    """Return points of |x/a|^n + |y/b|^n = 1 at height z, evenly by angle from +y to -x."""
+    """Return points of |x/a|^n + |y/b|^n = 1 at height z, at even angles: +y first, then -x."""
     angle = np.pi / 2 + 2 * np.pi * np.arange(points) / points
     cosine, sine = np.cos(angle), np.sin(angle)
     scale = (np.abs(cosine) ** exponent + np.abs(sine) ** exponent) ** (-1 / exponent)

@@ -108,8 +108,8 @@ def write_report(
         out: folder for the page, which is new, empty or holds an earlier report.
         workers: number of processes.
         width_px: wider maps are thinned; see `scene_page_files`.
-        detections: results to show in the scenes: a file of COCO results, or a folder of `graycast
-            detector find`. None removes the results of an earlier build.
+        detections: results to show in the scenes: a file of COCO results, or a folder of
+            `graycast detector find`. None removes the results of an earlier build.
         files: the folder in which the relative path of the bin's mesh begins. Without that file,
             the 3D view has no bin.
         progress: counts scenes.

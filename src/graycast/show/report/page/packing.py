@@ -116,7 +116,7 @@ def shrunk(picture: UInt8[np.ndarray, "..."], width_px: int) -> UInt8[np.ndarray
 def palette_picture(
     index: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], colors: dict[int, str]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a picture of numbers in their colours (`#rrggbb`); others are black."""
+    """Return numbers as a picture in their colours (`#rrggbb`), or black without a colour."""
     table = np.zeros((256, 3), dtype=np.uint8)
     for number, color in colors.items():
         table[number] = list(bytes.fromhex(color[1:]))

@@ -43,7 +43,7 @@ def prepare(
     a function of the mesh alone, in its frame.
 
     Args:
-        parts: parts with closed meshes, such as the room `parts` returns.
+        parts: parts with closed meshes, which the loaders of parts guarantee.
         hull_folder: the disk cache; the user's if None. A damaged file, or a file for a different
             mesh, version or setting, is replaced in one step. If the folder cannot be written,
             nothing is kept.

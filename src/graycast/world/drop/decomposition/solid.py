@@ -44,7 +44,7 @@ def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
 
     The new vertices are a subset of the old ones.
 
-    It moves by 0.1 of the tolerance, or up to 0.3 if more than `ENOUGH_FACES` would remain.
+    The move is 0.1 of the tolerance, or up to 0.3 if more than `ENOUGH_FACES` would remain.
     """
     fewer, moved_m = body, 0.0
     for share in SIMPLIFIED_BY:

@@ -77,7 +77,7 @@ def diameter(points: Float[np.ndarray, "n 3"]) -> float:
 
 
 def _ply(part: Part, texture_name: str | None) -> bytes:
-    """ASCII PLY as bop_toolkit's `load_ply` reads it: one normal, uv or colour per vertex.
+    """Return ASCII PLY as bop_toolkit's `load_ply` reads it: one normal, uv or colour per vertex.
 
     A vertex whose corners disagree in normal or uv is written once per kind of corner.
     """

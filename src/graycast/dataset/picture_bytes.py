@@ -39,7 +39,7 @@ def depth_scale_mm(reach_m: float) -> float:
 def depth_steps(
     depth_m: Float[np.ndarray, "h w"], scale_mm: float, *, needed: Bool[np.ndarray, "h w"]
 ) -> UInt16[np.ndarray, "h w"]:
-    """Depth in steps of the scale; 0 where unknown, and for unneeded pixels too deep for 16 bits.
+    """Return depth in steps of the scale; 0 if unknown, or unneeded and too deep for 16 bits.
 
     A table without end has no largest depth, so only parts and measurements must fit.
     """
@@ -59,7 +59,7 @@ def depth_steps(
 def modulation_steps(
     modulation: Float[np.ndarray, "h w"],
 ) -> tuple[UInt16[np.ndarray, "h w"], float]:
-    """16-bit steps and the power of two that, times a step, is the modulation again.
+    """Return 16-bit steps and the power of two that turns a step back into modulation.
 
     NaN and what noise has made negative are stored as 0: no modulation.
     """
@@ -69,12 +69,12 @@ def modulation_steps(
 
 
 def png(image: UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]) -> bytes:
-    """OpenCV's channel order."""
+    """Return a PNG of a picture in OpenCV's channel order."""
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])[1].tobytes()
 
 
 def mask_png(crop: Silhouette, height_px: int, width_px: int) -> bytes:
-    """An 8-bit grey PNG, 255 inside the mask.
+    """Return an 8-bit grey PNG, 255 inside the mask.
 
     Written here because OpenCV tries filters on every row: eight times slower on masks, of which
     a full bin has 500.

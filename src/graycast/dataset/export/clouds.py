@@ -21,7 +21,7 @@ _NAMES = {"depth": "perfect", "depth_sl": "scanner"}
 def write_split(
     folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
-    """`SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
+    """Write `SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
     (folder / split).mkdir()
     form = {"ply": cloud_bytes, "pcd": pcd_bytes}[settled(options.cloud)]
     for scene in scenes:
@@ -45,7 +45,7 @@ def pcd_bytes(
     *,
     width_px: int | None,
 ) -> bytes:
-    """A binary PCD 0.7 of the Point Cloud Library, whose colour is one packed field `rgb`.
+    """Return a binary PCD 0.7 of the Point Cloud Library, whose colour is one packed field `rgb`.
 
     Source: pointclouds.org, "The PCD (Point Cloud Data) file format".
     """

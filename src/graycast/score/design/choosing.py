@@ -146,7 +146,7 @@ def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
 
 
 def _few(spec: DesignSpec) -> str:
-    """A warning where the heaps are so few that their intervals hardly tell settings apart."""
+    """Return a warning if there are too few heaps for intervals that separate the settings."""
     if spec.layouts >= FEWEST_HEAPS:
         return ""
     heaps = "One heap gives no interval" if spec.layouts == 1 else f"{spec.layouts} heaps are few"

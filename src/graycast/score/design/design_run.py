@@ -184,7 +184,7 @@ def run_design(
 
     Args:
         out: the study's folder. The same study goes on in it, also with more settings or heaps.
-        device: of the renderer.
+        device: device of the renderer.
         on_result, on_failed: take results with the name of a rendering, and the number of its heap.
 
     Returns:

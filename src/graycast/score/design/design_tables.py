@@ -134,7 +134,7 @@ def _share(interval: Interval) -> str:
 
 
 def _draw_pareto(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
-    """Measured share over sigma, and over seconds; who is beaten in these two is pale."""
+    """Draw the measured share over sigma, and over seconds; beaten settings are pale."""
     best = choose(spec, rows)
     figure, axes = plain_figure(12.0, 5.2, (1, 1))
     for ax, column, words in zip(axes, (1, 2), ("sigma [mm]", "seconds of a scan"), strict=True):
@@ -149,7 +149,7 @@ def _draw_pareto(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -
 def _draw_front(
     ax: Axes, rows: Sequence[SettingFigures], best: SettingFigures | None, column: int
 ) -> int:
-    """Measured share with its interval over one of the costs; return how many are on the front.
+    """Draw measured share and interval over a cost; return the number of settings on the front.
 
     Both axes begin at 0, so that two settings that are nearly equal look so.
     """
@@ -173,7 +173,7 @@ def _draw_front(
 def _write_settings(
     ax: Axes, rows: Sequence[SettingFigures], best: SettingFigures | None, column: int
 ) -> None:
-    """The names of all settings for which there is room, those of the best and the front first."""
+    """Write settings' names while there is room; the best and those of the front come first."""
     costs = np.array([cost(row) for row in rows])
     front = on_front(costs[:, [0, column]])
     first = sorted(range(len(rows)), key=lambda i: (rows[i] is not best, not front[i]))
@@ -186,7 +186,7 @@ def _write_settings(
 
 
 def _draw_missing(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
-    """A bar for each setting: what became of the open surface."""
+    """Draw a bar for each setting that shows what became of the open surface."""
     figure, (ax,) = plain_figure(10.0, 1.6 + 0.24 * len(rows), (1,), grid="x")
     left = np.zeros(len(rows))
     for fate in FATES:

@@ -158,7 +158,7 @@ def _enlarged(optics: Optics) -> Optics:
 
 
 def _cone(box: Bin, cone_deg: float) -> list[tuple[Optics, Float[np.ndarray, "4 4"]]]:
-    """Far eyes above the bin, from all sides and up to `cone_deg` from the vertical."""
+    """Return far eyes above the bin, from all sides and up to `cone_deg` from the vertical."""
     low, high = box.bounds_m
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     away_m = 10 * radius_m  # nearly parallel rays

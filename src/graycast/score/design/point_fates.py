@@ -130,7 +130,7 @@ class PointFates:
 def judge(
     view: SurfaceView, surface: HeapSurface, truth: GroundTruth, depth: DepthMap, *, wrong_m: float
 ) -> PointFates:
-    """The fate of each point of a surface. Its error is the error of the pixel that sees it."""
+    """Return the fate of each surface point; its error is the error of the pixel that sees it."""
     pixel = (view.row, view.column)
     own = truth.instance[pixel] == surface.instance
     error_m = np.where(own, depth.depth_m[pixel] - truth.depth_m[pixel], np.nan)
@@ -158,7 +158,7 @@ def judge(
 def figures(
     scene: Scene, view: SurfaceView, surface: HeapSurface, fates: PointFates, *, seconds: float
 ) -> dict[str, Any]:
-    """A setting's figures over the open surface of one heap; None where nothing was measured.
+    """Return a setting's figures over a heap's open surface; None if nothing was measured.
 
     Each place counts by the surface's `weight`: as much as it shows in views from above.
 

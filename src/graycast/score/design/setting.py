@@ -106,7 +106,7 @@ class Placed:
 def place_settings(
     spec: DesignSpec, settings: tuple[Setting, ...], *, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Placed, ...]:
-    """The cells of a study's settings; `progress` has a note for each setting that is impossible.
+    """Return the cells of a study's settings; `progress` notes each impossible setting.
 
     Raises:
         ConfigError: the cell's file or none of the settings can be used; the text names it.

@@ -53,7 +53,7 @@ class DepthRow:
     Attributes:
         name: `10 to 20 deg`, or `edges`.
         reason: share of the pixels for each reason, `decoded` being those with a depth.
-        error: of those with a depth; beyond 1 and 5 mm are spikes.
+        error: errors of the pixels with a depth; errors beyond 1 and 5 mm are spikes.
     """
 
     name: str
@@ -91,7 +91,7 @@ def evaluate_depth(
 
 
 def depth_rows(scenes: Iterable[SceneContent]) -> dict[str, list[DepthRow]]:
-    """Rows over all pixels and over the visible parts: one for each range of angles and of edges.
+    """Return rows over all pixels and the visible parts, for each range of angles and edges.
 
     Every scene is read once.
     """
@@ -125,7 +125,7 @@ def incidence_rad(
     K: Float[np.ndarray, "3 3"],
     distortion: tuple[float, ...],
 ) -> Float[np.ndarray, "h w"]:
-    """Return the angle between camera ray and surface normal; NaN where no single surface is.
+    """Return the angle between camera ray and surface normal; NaN without a single surface.
 
     Args:
         depth_m: z of the camera frame, NaN where there is none.
@@ -213,7 +213,7 @@ def write_depth(tables: Tables, folder: Path, *, colors: Mapping[str, str]) -> N
     """Fill a folder with `depth.json`, `depth.csv`, `depth.md` and `depth.png`.
 
     Args:
-        colors: of the reasons, in the order in which they are listed.
+        colors: colours of the reasons, in the order in which they are listed.
 
     Raises:
         GraycastError: the folder cannot be written.

@@ -102,7 +102,7 @@ class BootstrapFigure:
 def figures_with_draws(
     scores: Scores, times: Int[np.ndarray, "draws pictures"]
 ) -> dict[str, BootstrapFigure]:
-    """`FIGURES` of the scores, each with its draws."""
+    """Return `FIGURES` of the scores, each with its draws."""
     return {
         name: BootstrapFigure(value=getattr(scores, name), draws=draws, scenes=scores.scenes)
         for name, draws in figures_of_draws(scores.matches, times).items()
@@ -110,14 +110,14 @@ def figures_with_draws(
 
 
 def with_intervals(scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> dict[str, Interval]:
-    """`FIGURES` of the scores, each with its interval."""
+    """Return `FIGURES` of the scores, each with its interval."""
     return {name: figure.interval for name, figure in figures_with_draws(scores, times).items()}
 
 
 def differences(
     scores: Scores, other: Scores, times: Int[np.ndarray, "draws pictures"]
 ) -> dict[str, Interval]:
-    """`FIGURES` of the scores less the other's, both of the same scenes in every draw.
+    """Return `FIGURES` of the scores minus the other's, with the same scenes in every draw.
 
     Raises:
         GraycastError: they are of different scenes.

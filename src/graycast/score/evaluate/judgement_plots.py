@@ -176,7 +176,7 @@ def _draw_sheet(
     picture: Picture,
     path: Path,
 ) -> None:
-    """Crops of mistakes, each with its title, on one sheet."""
+    """Draw crops of mistakes, each with its title, on one sheet."""
     if not crops:
         return
     rows = -(-len(crops) // _COLUMNS)

@@ -25,7 +25,7 @@ class Labels:
         scene_id: the number of the picture in its dataset: the scene's, where it has one picture.
         scene: the scene that the picture is of.
         size_px: height and width of the picture; None where the example held no picture.
-        obj_id: what each instance is.
+        obj_id: object id of each instance.
         box_px: [x, y, columns, rows] of the visible masks, as detections have them.
         mask: what is visible of each, as compressed run lengths; None where nobody drew masks.
         ignored: too hidden to count: it need not be found, and a detection there is no mistake.

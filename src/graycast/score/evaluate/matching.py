@@ -50,10 +50,10 @@ class Overlaps:
     """The overlaps of all detections and instances before the matching.
 
     Attributes:
-        labels: in the order of their scenes' ids.
-        detections: of the same scenes.
+        labels: labels in the order of their scenes' ids.
+        detections: detections in the same scenes.
         most: how many detections of a scene and a class were looked at.
-        pairs: of each class, those of all scenes that have an instance or a detection of it.
+        pairs: for each class, the pairs in all scenes that have an instance or a detection of it.
     """
 
     kind: Kind
@@ -91,7 +91,7 @@ class Group:
     """A group of instances, such as all large ones.
 
     Attributes:
-        by: what the group is made by.
+        by: quantity that defines the group.
         low, high: share from which and to which instances belong to it, without `high` except in
             the last group.
         other_instances: those outside, which are ignored there too; they overlap as before, not as

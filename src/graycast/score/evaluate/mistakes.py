@@ -60,7 +60,7 @@ class FalseAlarm:
 
 
 def working_point(matches: Mapping[int, ClassMatches]) -> WorkingPoint:
-    """The score with the best F1; NaN where there is nothing to find, or nothing was found."""
+    """Return the score with the best F1; NaN if there is nothing to find or no detection."""
     wanted = sum(int(one.to_find.sum()) for one in matches.values())
     score = np.concatenate([np.empty(0), *(one.score for one in matches.values())])
     if not wanted or not len(score):
@@ -80,7 +80,7 @@ def working_point(matches: Mapping[int, ClassMatches]) -> WorkingPoint:
 
 
 def misses(known: Overlaps, matches: Mapping[int, ClassMatches], least: float) -> list[Miss]:
-    """Instances that no detection of that score or more finds; the most visible first."""
+    """Return instances that no detection of at least that score finds, most visible first."""
     hits = {
         (int(scene), int(instance))
         for one in matches.values()
@@ -100,7 +100,7 @@ def misses(known: Overlaps, matches: Mapping[int, ClassMatches], least: float) -
 def false_alarms(
     known: Overlaps, matches: Mapping[int, ClassMatches], least: float
 ) -> list[FalseAlarm]:
-    """Mistakes of that score or more, the surest first."""
+    """Return mistakes with at least that score, the surest first."""
     alarms = []
     for one in matches.values():
         wrong = one.counted[AT_HALF] & ~one.hit[AT_HALF] & (one.score >= least)

@@ -46,7 +46,7 @@ def mssd(
     vertices_m: Float[np.ndarray, "v 3"],
     motions: Float[np.ndarray, "s 4 4"],
 ) -> float:
-    """Maximum symmetry-aware surface distance [m].
+    """Return the maximum symmetry-aware surface distance [m].
 
     `min over motions S of max over vertices x of |T_estimate x - T_true S x|`.
     """

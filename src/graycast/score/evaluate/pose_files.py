@@ -101,7 +101,7 @@ def pose_rows(
     categories: Mapping[int, str],
     protocol: Protocol,
 ) -> tuple[GroupRow, ...]:
-    """`FIGURES` of all parts, then of each where there are several; scenes are drawn together.
+    """Return `FIGURES` of all parts, then of each if there are several; draws take whole scenes.
 
     The last two figures are medians. `scene_of` is the scene of each picture, by the numbers of the
     pictures that `counts` have.

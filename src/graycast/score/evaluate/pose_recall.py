@@ -137,7 +137,7 @@ def _counted(
 
 
 def matched(error: Float[np.ndarray, "e n"], threshold: float) -> list[tuple[int, int]]:
-    """Estimates, best score first, each take the free instance with the least error below it."""
+    """Give each estimate, best score first, the free instance with the least error below it."""
     free = np.ones(error.shape[1], bool)
     pairs = []
     for i, row in enumerate(error):
@@ -155,7 +155,7 @@ def _vsd_of_pairs(
     estimates: Sequence[PoseEstimate],
     solid: Solid,
 ) -> Float[np.ndarray, "10 e n"]:
-    """VSD for each tolerance; silhouettes that share no pixel get an error of 1, undrawn."""
+    """Return VSD for each tolerance; it is 1, undrawn, if silhouettes share no pixel."""
     height, width = truth.measured_m.shape
     y, x = np.mgrid[:height, :width].astype(np.float64)
     length = np.linalg.norm(rays(truth.camera, np.stack([x, y], axis=-1)), axis=-1)

@@ -20,10 +20,10 @@ class DetectionRun:
     """The content of `detect.json`; fields are None for a single file of results.
 
     Attributes:
-        path: of the results.
+        path: path of the results.
         scene_ids: the scenes that were looked at.
         split: the set that they are of, and `division`, how the dataset was divided.
-        ms_per_picture: in the order of the scenes.
+        ms_per_picture: milliseconds per picture, in the order of the scenes.
     """
 
     path: Path

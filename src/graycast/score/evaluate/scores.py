@@ -35,7 +35,7 @@ class Scores:
 
     Attributes:
         ap: average precision, the mean over thresholds of 0.50 to 0.95 and over the classes.
-        ap50: at a threshold of 0.50; `ap75` at 0.75.
+        ap50: average precision at a threshold of 0.50; `ap75` at 0.75.
         ar: share of the instances that are found, the mean over the same thresholds and classes.
         scene_ids: ids of the pictures, in the order of `matches`.
         scene_of: the scene of each picture; several views of a scene share one.
@@ -66,8 +66,8 @@ def score(
     """Judge the detections of some scenes by their labels.
 
     Args:
-        labels: one for each scene, in any order.
-        detections: one for each of these scenes, even if nothing was found.
+        labels: labels of each scene, in any order.
+        detections: detections in each of these scenes, even if nothing was found.
         kind: whether boxes or masks are compared.
         most: how many detections of a scene and a class count, best first.
 
@@ -94,7 +94,7 @@ def scores_of(matches: Mapping[int, ClassMatches], known: Overlaps) -> Scores:
 def figures_of_draws(
     matches: Mapping[int, ClassMatches], times: Int[np.ndarray, "draws scenes"]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
-    """`FIGURES` of each draw of scenes: means over the classes that it has to find."""
+    """Return `FIGURES` of each draw of scenes: means over the classes that the draw has to find."""
     if not matches:
         return {name: np.full(len(times), np.nan) for name in FIGURES}
     both = [class_figures(one, times) for one in matches.values()]
@@ -144,7 +144,7 @@ def class_figures(
     """Return average precision and recall of a class by threshold.
 
     Args:
-        times: how often each scene counts in each draw.
+        times: number of times that each scene counts in each draw.
 
     Returns:
         (average precision, recall of all detections); NaN where a draw has nothing to find.

@@ -178,7 +178,7 @@ def notes(judgements: Sequence[Judgement]) -> Iterator[str]:
 
 
 def ap_of_any_order(matches: Mapping[int, ClassMatches]) -> tuple[float, float]:
-    """AP if among equal scores all mistakes came first, and if all hits did.
+    """Return AP if among equal scores all mistakes came first, and if all hits did.
 
     The matches stay the same: within a picture, another order could also change them.
     """
@@ -193,7 +193,7 @@ def ap_of_any_order(matches: Mapping[int, ClassMatches]) -> tuple[float, float]:
 
 
 def _sorted(one: ClassMatches, sign: int) -> ClassMatches:
-    """Hits after mistakes of the same score (sign 1), or before them."""
+    """Sort hits after mistakes of the same score (sign 1), or before them."""
     order = np.stack([np.lexsort((sign * hit, -one.score)) for hit in one.hit.astype(int)])
     return replace(
         one,

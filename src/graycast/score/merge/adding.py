@@ -98,7 +98,7 @@ def why_not(
 
 
 def best_order(has: Bool[np.ndarray, "views n"]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Views in the order in which each adds most to those before it, and how many points it adds.
+    """Return the views, each adding most to the views before it, and how many points each adds.
 
     Of views that add the same the first is taken. No order of the same length has more than
     1 / (1 - 1/e) = 1.58 times what this one has.

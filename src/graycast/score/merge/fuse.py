@@ -35,8 +35,8 @@ class FusedCloud:
     Attributes:
         normal: towards the camera of `view`; where no plane fits, the way to that camera.
         sigma_m: standard deviation along the normal.
-        view: whose pixel the point stands at.
-        pixel: of that view, row and column.
+        view: index of the view whose pixel has the point.
+        pixel: row and column in that view.
         views: how many views measured the place, that one among them.
         against: how many saw through it; never more than the others that confirm it.
         first_reason: why the first view has no point there, as its reasons are numbered, or one of

@@ -28,7 +28,7 @@ class ProjectedPoints:
         inside: the point is in the view's picture.
         there: what the view measured at that pixel.
         agrees: it is the point's own surface.
-        offset_m: from the point to the view's surface, along the mean of both normals.
+        offset_m: distance from the point to the view's surface, along the mean of both normals.
         variance_m2: of what the view measured, along that mean.
         depth_m: the point's own z in the view's camera.
     """

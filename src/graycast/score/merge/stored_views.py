@@ -147,7 +147,7 @@ def measured_noise_px(
     """Estimate each pixel's noise in the projector [px] from the roughness at similar light.
 
     Args:
-        light: the modulation, in any unit.
+        light: modulation, in any unit.
     """
     _, smooth_m = planes_of(depth_m, rig.camera)
     off_px = np.abs(depth_m - smooth_m) / slope_m

@@ -21,7 +21,7 @@ class MeasuredView:
     """Depth of one picture, and the camera's pose.
 
     Attributes:
-        name: what tables call it.
+        name: name of the view in tables.
         depth_m: z of the camera frame; NaN where nothing was measured.
         sigma_m: standard deviation of z; NaN where nothing was measured.
         reason: why there is no depth, as a dataset numbers it; 0 where there is one.
@@ -57,7 +57,7 @@ class Points:
     Attributes:
         pixel: row and column.
         point_m, toward: places, and unit vectors from them to the camera.
-        normal: of the surface, towards the camera; where no plane fits, `toward` stands for it.
+        normal: surface normal, towards the camera; where no plane fits, `toward` stands for it.
         plane: whether one fits.
         sigma_m: standard deviation along the ray.
         spacing_m: how far apart the rays of neighbouring pixels are there.
@@ -94,7 +94,7 @@ class Points:
         return np.square(self.sigma_m * cosine)
 
     def at(self, pixel: Int[np.ndarray, "n 2"]) -> "Points":
-        """Some pixels of a whole picture."""
+        """Return some pixels of a whole picture."""
         index = tuple(pixel.T)
         names = [name for name in self.__dataclass_fields__ if name != "pixel"]
         return Points(pixel=pixel, **{name: getattr(self, name)[index] for name in names})

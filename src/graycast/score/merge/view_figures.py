@@ -43,7 +43,7 @@ def surface_coverage(surface: SurfacePoints, views: Sequence[StoredView]) -> Sur
 
 
 def joined(parts: Sequence[SurfaceCoverage]) -> SurfaceCoverage:
-    """Several scenes' surfaces, looked at by views of the same names, as one."""
+    """Join the surfaces of several scenes, seen by views of the same names, into one."""
     return SurfaceCoverage(
         why=np.concatenate([one.why for one in parts], axis=1), of=sum(one.of for one in parts)
     )

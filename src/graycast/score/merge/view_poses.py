@@ -42,10 +42,10 @@ class Agreement:
     """Agreement of one view's points with another view.
 
     Attributes:
-        points: that lie where the other view has a depth.
-        share: of them, those on one surface within the noise, after the motion.
+        points: number of points at which the other view has a depth.
+        share: share of these points on one surface within the noise, after the motion.
         shift_m: the motion of the points' middle that lays them on the other's surface.
-        turn_rad: its turn.
+        turn_rad: turn of the motion.
         off: how far the points move, as a share of the depth.
     """
 
@@ -65,7 +65,7 @@ class Agreement:
 
 
 def pose_doubts(views: Sequence[MeasuredView], points: Sequence[Points]) -> tuple[str, ...]:
-    """Sentences that name the views which do not agree with others, and what would mend them."""
+    """Return sentences that name the views that disagree with others, and the remedies."""
     pairs = agreements(views, points)
     lonely = [i for i in range(len(views)) if not any(pairs[p].agrees for p in pairs if i in p)]
     if len(views) < 2 or not lonely:

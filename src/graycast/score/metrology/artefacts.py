@@ -73,9 +73,9 @@ def working_volume(rig: Rig) -> Volume:
 def common_rectangle_m(
     rig: Rig, z_m: float
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]] | None:
-    """Opposite corners (x, y) of a rectangle at depth `z_m` that both devices cover; None if none.
+    """Return opposite corners (x, y) of a rectangle at depth `z_m` that both devices cover.
 
-    It has the middle and the proportions of the common field's own box, shrunk until it fits.
+    It has the middle and proportions of the common field's box, shrunk to fit. None if none fits.
     """
     point = z_m * rays(rig.camera, _grid_px(rig))
     inside = in_view(rig, point)
@@ -249,7 +249,7 @@ def grouped(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> li
 def spheres(
     centre_m: Float[np.ndarray, "n 3"], radius_m: float, material: Material
 ) -> tuple[Sphere, ...]:
-    """Spheres of one size for a scene."""
+    """Return spheres of one size for a scene."""
     return tuple(
         Sphere(center_m=tuple(centre.tolist()), radius_m=radius_m, material=material)
         for centre in centre_m

@@ -106,8 +106,8 @@ def certify(
     on the artefact in it, unless the scanner's is fixed. Truth comes from the scene.
 
     Args:
-        renderer: an open one.
-        seed: of the light's sampling and of the sensor's noise.
+        renderer: an open renderer.
+        seed: seed for the light's sampling and the sensor's noise.
         rendered_with: the rig as it is built, where the scanner's own is a calibration that is not
             right. The working volume is that of the rig as built.
         progress: counts scenes, and hears what each of them shows.

@@ -112,7 +112,7 @@ def without_worst(distance: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 
 def flatness(point: Float[np.ndarray, "n 3"]) -> tuple[PlaneFit, Deviations]:
-    """Range of the signed distances from the best-fit plane.
+    """Return the range of the signed distances from the best-fit plane.
 
     A plane is fitted to all points, the worst 3 in 1000 are dropped, and it is fitted again to the
     rest. Source: the quantity is that of VDI/VDE 2634 part 2, as secondary sources give it.
@@ -123,7 +123,7 @@ def flatness(point: Float[np.ndarray, "n 3"]) -> tuple[PlaneFit, Deviations]:
 
 
 def probing(point: Float[np.ndarray, "n 3"]) -> tuple[SphereFit, Deviations]:
-    """Range of the radial distances from the best-fit sphere; drops what `flatness` drops."""
+    """Return the range of radial distances from the best-fit sphere, trimmed like `flatness`."""
     keep = without_worst(fit_sphere(point).distance_m(point))
     fit = fit_sphere(point[keep])
     return fit, _deviations(fit.distance_m(point[keep]), len(point))
@@ -139,7 +139,7 @@ def _deviations(distance: Float[np.ndarray, " n"], measured: int) -> Deviations:
 
 
 def temporal_noise_m(depth_m: Float[np.ndarray, "n h w"], where: Bool[np.ndarray, "h w"]) -> float:
-    """Standard deviation of one pixel's depth from shot to shot, the median over many pixels.
+    """Return the standard deviation of a pixel's depth from shot to shot (median over pixels).
 
     The sample variance of n normal values is `sigma^2 / (n - 1)` times a chi-squared number of
     n - 1 degrees of freedom; its median over the pixels is set against that number's median.

@@ -41,7 +41,7 @@ def describe(certificate: Certificate) -> str:
 
 
 def _figures(certificate: Certificate) -> list[tuple[str, str, str]]:
-    """Name, value and how it was measured, of each figure of the datasheet."""
+    """Return each figure of the datasheet: name, value and how it was measured."""
     c, s = certificate, certificate.summary
     near, middle, far = c.facing[0], c.middle, c.facing[-1]
     ends = f"{1e3 * near.z_m:.0f} / {1e3 * middle.z_m:.0f} / {1e3 * far.z_m:.0f} mm"

@@ -1,4 +1,4 @@
-"""A configuration with some keys replaced by fitted values; all other text is unchanged."""
+"""Replacement of some keys of a configuration by fitted values; all other text is unchanged."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -13,10 +13,10 @@ from ..cell.config import Config
 
 
 def refuse_existing(out: Path, base: Path) -> None:
-    """Check the output paths before the work.
+    """Refuse an output path that exists or is not in the folder of the base configuration.
 
     Raises:
-        GraycastError: the file is there, or would change what relative paths mean.
+        GraycastError: the file exists, or relative paths would change their meaning.
     """
     refuse_there(out)
     if out.absolute().parent.resolve() != base.absolute().parent.resolve():
@@ -29,7 +29,7 @@ def refuse_there(*paths: Path) -> None:
     """Refuse to overwrite a file.
 
     Raises:
-        GraycastError: one of the files is there.
+        GraycastError: one of the files exists.
     """
     for path in paths:
         if path.exists():
@@ -43,16 +43,16 @@ def fitted_text(
     comments: Mapping[str, str],
     dropped: Collection[str] = (),
 ) -> str:
-    """Return a configuration's text in which some keys at the top are replaced or added.
+    """Return a configuration's text with some top-level keys replaced or added.
 
     All other text of the user stays, including comments.
 
     Args:
-        base: a configuration's text.
-        path: of its file, for errors.
+        base: the configuration's text.
+        path: path of the configuration's file, for errors.
         sections: new values by key.
-        comments: what stands above each.
-        dropped: keys at the top that are taken out, where they are.
+        comments: comments above the keys, by key.
+        dropped: top-level keys to remove if they are present.
 
     Raises:
         ConfigError: the result would not be a configuration.
@@ -73,7 +73,7 @@ def fitted_text(
 
 
 def _spans(text: str, lines: list[str]) -> dict[str, tuple[int, int]]:
-    """First line of each key at the top and the line after its value, comments after it left."""
+    """Return each top-level key's first line and the line after its value, comments excluded."""
     starts = [(key.value, key.start_mark.line) for key, _ in yaml.compose(text).value]
     ends = [line for _, line in starts[1:]] + [len(lines)]
     spans = {}

@@ -1,4 +1,4 @@
-"""Pose, colours and light of a real bin from views of it when it is empty."""
+"""Fit of a real bin's pose, colours and light to views of the empty bin."""
 
 from .bin_views import empty_view, read_views
 from .fitting import (

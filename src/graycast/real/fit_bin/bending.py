@@ -1,15 +1,15 @@
 """Bending of a bin's mesh until its visible surface is where a scan measured it.
 
-A real bin is not as its drawing: walls bulge, floors sag. Each vertex is moved along its camera ray
+A real bin differs from its drawing: walls bulge, floors sag. Each vertex moves along its camera ray
 by the ratio of measured depth to the mesh's depth. The ratio is one smooth function of the ray, so
-all that lies on a ray keeps its order: the mesh does not fold, and the outside of a wall goes along
+points on a ray keep their order: the mesh does not fold, and the outside of a wall moves together
 with its inside.
 
-Leaves out: places that parts, shadows or the bin itself hide, which take the ratio of what is
-measured beside them; the outside and the underside, which follow the inside along the ray, so that
-a wall's thickness is not measured; shape finer than `EDGE_M`; and what differs by `REACH_M` or more
-along the ray, which on a wall seen at a grazing angle is much less across the wall. A part flatter
-than that, at the same place in the only view or in most views, is taken for the bin.
+Leaves out: places that parts, shadows or the bin itself hide, which take the ratio measured next to
+them; the outside and the underside, which follow the inside along the ray, so that a wall's
+thickness is not measured; shape finer than `EDGE_M`; and differences of `REACH_M` or more along the
+ray, which at a grazing angle are much smaller across the wall. A part flatter than `REACH_M`, at
+the same place in the only view or in most views, is mistaken for the bin.
 """
 
 from collections.abc import Sequence
@@ -55,23 +55,23 @@ def bend_bin(
 ) -> Mesh:
     """Return the mesh of a bin with its visible surface where it was measured.
 
-    Faces are split where they bend, down to edges of `EDGE_M`, and shared edges alike, so that a
-    watertight mesh stays watertight. Pixels count whose measurement is within `REACH_M` of the mesh
-    and not beside a step of the mesh or something that stands in front of it.
+    Faces are split where they bend, down to edges of `EDGE_M`, and shared edges in both faces, so
+    that a watertight mesh stays watertight. A pixel counts if its measurement is within `REACH_M`
+    of the mesh, and no step of the mesh and nothing in front of the mesh is next to the pixel.
 
     Args:
         mesh: the bin as drawn, in the world frame.
         T_world_cam: the camera's pose over it.
-        camera: of the measurement.
+        camera: camera of the measurement.
         depth_m: z-depth [m] in the camera frame; NaN where nothing is measured.
 
     Returns:
         The bent mesh in the frame of `mesh`. Vertices outside of the picture move with the nearest
-        pixel, those behind the camera stay. uv are those of the place before it was bent.
+        pixel, vertices behind the camera stay. uv do not change with the bending.
 
     Raises:
         ValueError: the depth has another size than the camera's picture.
-        GraycastError: hardly any of the mesh is where the measurement is.
+        GraycastError: the measurement agrees with hardly any of the mesh.
     """
     expected_m = _cast(mesh, T_world_cam, camera)
     if expected_m.shape != depth_m.shape:
@@ -104,10 +104,10 @@ def bend_bin(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BentBin:
-    """A bent mesh in a frame of its own, as a configuration reads it, and the camera's pose there.
+    """A bent mesh in its own frame, as in a configuration, and the camera's pose in that frame.
 
-    The origin is in the middle of the bent floor, which is not where the drawn one was. `before_m`
-    and `after_m` are the median and 90 % of the distances along z between mesh and measurement.
+    The origin is in the middle of the bent floor, not of the drawn floor. `before_m` and `after_m`
+    have the median and the 90th percentile of the distances along z between mesh and measurement.
     """
 
     mesh: Mesh
@@ -117,10 +117,10 @@ class BentBin:
 
 
 def bent_bin(box: Bin, T_world_cam: Float[np.ndarray, "4 4"], views: Sequence[BinView]) -> BentBin:
-    """Return a bin bent to the median of all views of one camera; a box becomes a mesh.
+    """Return a bin bent to the median depth of all views of one camera; a box becomes a mesh.
 
-    Pixels do not count where half of the views are far from that median, as it may then be no
-    surface at all: with a flat part in one of two views, it is in the middle between part and bin.
+    Pixels do not count if half of the views are far from that median, because the median may then
+    be no surface: with a flat part in one of two views, it is halfway between part and bin.
 
     Raises:
         GraycastError: see `bend_bin`.
@@ -188,7 +188,7 @@ def _cast(
 def _taken(
     mesh_m: Float[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the pixels at which the measurement is of the bin."""
+    """Return a mask of the pixels at which the measurement shows the bin."""
     # Pixels beside a gap are kept, because scans have single gaps everywhere.
     with np.errstate(invalid="ignore"):
         other = np.abs(depth_m - mesh_m) >= REACH_M
@@ -197,17 +197,17 @@ def _taken(
 
 
 def _clear_of_steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Return pixels away from where depth jumps or ends.
+    """Return a mask of the pixels away from places where depth jumps or ends.
 
-    A steep wall falls evenly from pixel to pixel, so a step is what falls by more than both
-    neighbouring pairs do.
+    On a steep wall, depth changes evenly from pixel to pixel, so a step is a change that is larger
+    than those of both neighbouring pairs.
     """
     z_m = np.nan_to_num(z_m)  # so the end of a surface is a step to 0
     return ~_widened(_steps(z_m) | _steps(z_m.T).T)
 
 
 def _steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Both pixels of each step along the rows."""
+    """Return a mask of both pixels of each step along the rows."""
     fall = np.pad(np.abs(np.diff(z_m, axis=1)), ((0, 0), (1, 1)))
     jump = fall[:, 1:-1] > np.maximum(fall[:, :-2], fall[:, 2:]) + _STEP_M
     return np.pad(jump, ((0, 0), (1, 0))) | np.pad(jump, ((0, 0), (0, 1)))
@@ -229,9 +229,9 @@ def _smooth(
     has half the pixels of the one before it, so its Gaussian reaches twice as far.
 
     Args:
-        value: what is averaged.
-        weight: of each pixel, from 0 to 1.
-        sigma_px: of the finest level.
+        value: values to average.
+        weight: weight of each pixel, from 0 to 1.
+        sigma_px: width of the Gaussian at each level, in pixels of the level.
     """
     total = gaussian_filter(value * weight, sigma_px, mode="constant")
     share = gaussian_filter(weight, sigma_px, mode="constant")
@@ -247,7 +247,7 @@ def _smooth(
 
 
 def _halved(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "hh hw"]:
-    """Return means of 2 x 2 pixels; beyond the border is 0."""
+    """Return means of 2 x 2 pixels; values beyond the border are 0."""
     rows, columns = image.shape
     even = np.pad(image, ((0, rows % 2), (0, columns % 2)))
     return even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean(axis=(1, 3))
@@ -259,14 +259,14 @@ def _halved(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "hh hw"]:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Bend:
-    """Displacement of points of the world along their camera ray, by a ratio for each pixel."""
+    """Displacement of world points along their camera rays, by a ratio for each pixel."""
 
     T_world_cam: Float[np.ndarray, "4 4"]
     camera: Optics
     log_ratio: Float[np.ndarray, "h w"]
 
     def shift_m(self, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Return the shift of points; 0 behind the camera, the nearest pixel's beyond the edge."""
+        """Return the shift of points; 0 behind the camera, the nearest pixel's beyond the edges."""
         pixel = self._pixel(point_m)
         front = np.isfinite(pixel).all(axis=1)
         growth = np.zeros(len(pixel))
@@ -311,9 +311,9 @@ _WITHIN = np.array(
 def _split(mesh: Mesh, bend: _Bend) -> Mesh:
     """Return the same surface with smaller faces where it bends, and without shading normals.
 
-    trimesh's subdivide_to_size splits all edges of a face, also those that its neighbour keeps,
-    which opens cracks. Here an edge is split for both of its faces or for none, and only the
-    longest edge of a face asks for it, which keeps faces from becoming slivers.
+    trimesh's subdivide_to_size splits all edges of a face, even if the neighbour keeps them, which
+    opens cracks. Here an edge is split for both of its faces or not at all, and a face requests
+    only the split of its longest edge, so that faces do not become slivers.
     Source: M.-C. Rivara, "Algorithms for refining triangular grids suitable for adaptive and
     multigrid techniques", 1984.
     """
@@ -343,7 +343,7 @@ def _split(mesh: Mesh, bend: _Bend) -> Mesh:
 def _curved(
     corner_m: Float[np.ndarray, "f 3 3"], longest_m: Float[np.ndarray, " f"], bend: _Bend
 ) -> Bool[np.ndarray, " f"]:
-    """Return the faces to split: those that are too long or too far from the smooth shape."""
+    """Return a mask of the faces to split: too long, or too far from the smooth shape."""
     curved = longest_m > _LONGEST_M
     candidates = np.flatnonzero(~curved & (longest_m > EDGE_M))
     point_m = np.einsum("pk,fki->fpi", _WITHIN, corner_m[candidates])
@@ -355,7 +355,7 @@ def _curved(
 
 
 def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
-    """Return all edges once, lower vertex first, and the indices of a face's edges 01, 12, 20."""
+    """Return all edges once, lower vertex first, and the indices of each face's three edges."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     edge, of_face = np.unique(ends, axis=0, return_inverse=True)
     return edge, of_face.reshape(-1, 3)
@@ -364,7 +364,7 @@ def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[n
 def _pieces(
     pattern: Int[np.ndarray, " f"],
 ) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, "g 3"]]:
-    """The faces after a split: which face each is a piece of, and its corners in `_PIECES`."""
+    """Return the faces after a split: each one's former face, and its corners in `_PIECES`."""
     owners, pieces = [], []
     for kind, faces in enumerate(_PIECES):
         mine = np.flatnonzero(pattern == kind)

@@ -1,4 +1,4 @@
-"""Real views of the bin, empty or not: depth or organised clouds, and the colour pictures."""
+"""Real views of the bin, empty or not: depth maps or organised clouds, and colour pictures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ _NORMALS_ACROSS = 400  # Normals use neighbours 1/200 of the picture away, at le
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Every n-th pixel of a view: a camera of those pixels, and z-depth [m]; NaN for no depth."""
+    """Every n-th pixel of a view: a camera with only those pixels, and z-depth [m] or NaN."""
 
     camera: Optics
     depth_m: Float[np.ndarray, "rows columns"]
@@ -75,9 +75,9 @@ class BinView:
         return Grid(camera=coarse, depth_m=depth_m)
 
     def cloud(self, count: int = 20_000) -> Float[np.ndarray, "n 6"]:
-        """Return place [m] and unit normal of about `count` points, evenly over the picture.
+        """Return places [m] and unit normals of about `count` points spread over the picture.
 
-        Both are in the camera frame; normals point to the camera. Pixels beside a gap have no
+        They are in the camera frame; normals point to the camera. Pixels next to a gap have no
         normal and are left out.
         """
         height_px, width_px = self.depth_m.shape
@@ -94,20 +94,20 @@ class BinView:
         return both[np.isfinite(both).all(axis=-1)]
 
     def step(self, across: int) -> int:
-        """Return the n for which every n-th pixel gives about `across` on the longer side."""
+        """Return the n for which every n-th pixel makes about `across` on the longer side."""
         return max(1, round(max(self.depth_m.shape) / max(across, 1)))
 
 
 def read_views(
     paths: Sequence[Path], *, rgb: Sequence[Path] = (), options: FileOptions, own: Optics
 ) -> tuple[BinView, ...]:
-    """Read all views, of one camera that did not move.
+    """Read all views, which must come from one camera that did not move.
 
     Args:
-        paths: depth files, folders in the form of `import_real`, and scene folders of our datasets,
-            which bring their own camera and colours.
+        paths: depth files, folders in the form of `import_real`, and scene folders of Graycast's
+            datasets, which contain their own camera and colours.
         rgb: a picture for each depth file in the same order, or none.
-        own: the configuration's camera, for files of its size that name no other.
+        own: the configuration's camera, for files of the same size without a camera.
 
     Raises:
         GraycastError: a file is missing, damaged or of another form, or cameras differ.
@@ -160,10 +160,10 @@ def _read(shot: RealPicture, options: FileOptions, own: Optics) -> BinView:
 
 
 def _read_scene(scene: Path) -> list[BinView]:
-    """Return the scanner's views of a scene of one of our datasets.
+    """Return the scanner's views in a scene of one of Graycast's datasets.
 
     Raises:
-        DatasetError: `scene_camera_sl.json` is damaged, or says too little of a camera.
+        DatasetError: `scene_camera_sl.json` is damaged or incomplete, or a picture is.
     """
     files, views = SceneFolder(scene), []
     try:
@@ -201,13 +201,13 @@ def _view(name: str, images: ShotData, distortion: Sequence[float]) -> BinView:
 
 
 def empty_view(views: Sequence[BinView]) -> BinView:
-    """Combine views into one of the bin as it would be without its content.
+    """Combine views into one view of the bin as if it were empty.
 
-    Parts lie before the bin, never behind it. Where at least two of the views see past all parts
-    they agree, and what is farther than that, a stray, is in one view alone. Leaves out: parts that
-    lie at the same place in two views while all others are covered there too.
+    Parts are in front of the bin, never behind it. Where at least two views see the bin, they
+    agree, and a farther depth, which is an error, is in one view only. Leaves out: parts at the
+    same place in two views if all other views are covered there, too.
 
-    Its colours are the mean of the views that see the bin there; without pictures it has none.
+    A pixel's colour is the mean of the views that see the bin there, if all views have pictures.
 
     Raises:
         DatasetError: there are fewer than two views, or they share too little.
@@ -230,9 +230,9 @@ def empty_view(views: Sequence[BinView]) -> BinView:
 
 
 def farthest_shared(depth_m: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h w"]:
-    """Return the mean of the farthest two depths that agree; NaN where no two do.
+    """Return the mean of the farthest two depths that agree; NaN where no two depths agree.
 
-    In order of depth, two that agree have no third between them.
+    Only neighbours in the order of depth are compared.
     """
     ordered = np.sort(np.where(np.isnan(depth_m), -np.inf, depth_m), axis=0)[::-1]
     shared = np.full(depth_m.shape[1:], np.nan)
@@ -246,7 +246,7 @@ def farthest_shared(depth_m: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h
 def _mean_color(
     pictures: Sequence[UInt8[np.ndarray, "h w 3"]], sees: Bool[np.ndarray, "n h w"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the mean colour over the views that see the bin; over all views where none does."""
+    """Return the mean colour of the views that see the bin, or of all views if none sees it."""
     weight = np.where(sees.any(axis=0), sees, True)[..., None].astype(np.float64)
     mean = (np.stack(pictures) * weight).sum(axis=0) / weight.sum(axis=0)
     return np.round(mean).astype(np.uint8)

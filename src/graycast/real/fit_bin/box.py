@@ -1,6 +1,6 @@
-"""Open box as flat rectangles, for the first hit of a ray and the nearest one to a point.
+"""Open box as flat rectangles, for finding the first on a ray and the nearest to a point.
 
-World frame: origin in the middle of the inner floor, z up, so every rectangle lies across an axis.
+World frame: origin in the middle of the inner floor, z up; each rectangle is normal to an axis.
 """
 
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ _RAISED_M, _AROUND_M = 0.015, 0.025
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpenBox:
-    """Rectangles from corner `low_m` to corner `high_m`; `axis` is the one that they lie across.
+    """Rectangles from corner `low_m` to corner `high_m`, perpendicular to `axis`.
 
-    `side` is the sign of the normal along it, towards where the face can be seen from.
+    `side` is the sign of the normal along the axis; the normal is on the visible side.
     """
 
     inner_m: tuple[float, float, float]
@@ -54,7 +54,7 @@ class OpenBox:
 
     @property
     def turns(self) -> int:
-        """Into how many equal turns about z the box maps itself: 4 of a square one, else 2."""
+        """Number of turns about z that map the box to itself: 4 if it is square, else 2."""
         return 4 if abs(self.inner_m[0] - self.inner_m[1]) <= 1e-3 else 2
 
     def nearest(
@@ -99,12 +99,12 @@ class OpenBox:
         *,
         content: float = 0.0,
     ) -> Float[np.ndarray, " p"]:
-        """Return `votes` as a mean over camera rays of unit z, all of which have depth.
+        """Return `votes` as a mean over camera rays with z = 1, all of which have depth.
 
         Args:
-            tolerance_m: of each face or of all.
-            content: what depth counts beside that if it stands above the floor and not beside the
-                box.
+            tolerance_m: tolerance of each face, or one tolerance for all faces.
+            content: additional value of a point above the floor and within the box or its
+                walls.
         """
         each_m = np.broadcast_to(np.float64(tolerance_m), len(self.names)).copy()
         faces = np.stack([self.low_m, self.high_m]), self.axis, each_m
@@ -115,12 +115,12 @@ class OpenBox:
 
 
 def stand_in(shape: BinShape) -> OpenBox:
-    """Return the box that is about the same, for a first search."""
+    """Return a box of about the same shape, for a first search."""
     return shape if isinstance(shape, OpenBox) else open_box(shape.inner_m)
 
 
 def open_box(inner_m: tuple[float, float, float], wall_m: float | None = None) -> OpenBox:
-    """Floor and four walls seen from inside; with `wall_m` the outside and the rim as well."""
+    """Return floor and four walls seen from inside; with `wall_m`, also the outside and the rim."""
     x, y, height = inner_m[0] / 2, inner_m[1] / 2, inner_m[2]
     faces = [("floor", (-x, -y, 0.0), (x, y, 0.0), 2, 1.0)]
     for name, sign in (("+", 1.0), ("-", -1.0)):

@@ -33,9 +33,9 @@ from .shape import BinShape
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinFit:
-    """The fit. `apart` is the difference of each view's own pose from the common one [m, rad].
+    """The fit; `apart` has the difference of each view's own pose from the common pose [m, rad].
 
-    `shape` and `pose` are those of the bin as drawn; `bent` has its own.
+    `shape` and `pose` belong to the bin as drawn; `bent` has its own mesh and pose.
     """
 
     views: tuple[str, ...]
@@ -47,7 +47,7 @@ class BinFit:
 
 
 def shape_of(box: Bin, *, wall_known: bool = True) -> BinShape:
-    """Return the faces of a bin; without its walls' thickness a box has neither rim nor outside."""
+    """Return the faces of a bin; a box without known walls has neither rim nor outside."""
     if box.mesh is not None:
         return mesh_shape(box)
     return open_box(box.inner_m, box.wall_m if wall_known else None)
@@ -61,7 +61,7 @@ def fit_pose(
     seed: int,
     stated: Float[np.ndarray, "4 4"] | None = None,
 ) -> BinFit:
-    """Return the pose from all views together, and by itself from each, which tells the spread.
+    """Return the pose from all views together, and each view's difference, which shows the spread.
 
     Raises:
         GraycastError: nothing in the views looks like the bin.
@@ -86,10 +86,10 @@ def with_look(
     device: str,
     seed: int,
 ) -> BinFit:
-    """Return the fit with the colours and the light in which the cell's pictures are the views'.
+    """Return the fit with colours and light that make the cell's pictures look like the views'.
 
     Raises:
-        GraycastError: see `fit_look`; no such device here.
+        GraycastError: see `fit_look`, or there is no such device.
     """
     with open_cell_renderer(cell, device=device) as renderer:
         look = fit_look(
@@ -106,7 +106,7 @@ def with_look(
 
 
 def with_bend(fit: BinFit, cell: Cell, views: Sequence[BinView]) -> BinFit:
-    """The fit with the bin's mesh bent to the views; one that `write_fit` refuses stays as it is.
+    """Return the fit with the mesh bent to the views; a fit that `write_fit` refuses is unchanged.
 
     Raises:
         GraycastError: see `bent_bin`.
@@ -142,16 +142,16 @@ def write_fit(
     """Write the configuration, a report and a picture of the residuals into one folder.
 
     Args:
-        fit: what is written.
-        cell: that of the configuration `base`.
-        views: those that were fitted.
+        fit: the fit to write.
+        cell: cell of the configuration `base`.
+        views: the fitted views.
         base: the configuration whose text is kept.
         out: the new configuration.
-        mesh: of a bent bin, its file, in the folder of `out`.
+        mesh: file for the mesh of a bent bin, in the folder of `out`.
 
     Raises:
-        GraycastError: a file is there already, or cannot be written; or the pose is not held in all
-            degrees of freedom, so that there is nothing to write.
+        GraycastError: a file exists already, or cannot be written; or the views do not determine
+            all degrees of freedom of the pose, so that there is nothing to write.
     """
     if fit.pose.loose:
         raise GraycastError(
@@ -185,7 +185,7 @@ def azimuth_of(config: Config) -> float:
 def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Mapping[str, Any]]:
     """Return the keys of a configuration that were fitted, with their new values.
 
-    `mesh` is the file of a bent bin, beside the configuration.
+    `mesh` is the file of a bent bin, in the folder of the configuration.
     """
     box = cell.config.bin.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     if fit.bent is not None and mesh is not None:
@@ -214,9 +214,9 @@ def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Map
 
 
 def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any]:
-    """Return a bin's section with the bent mesh instead of its former shape.
+    """Return a bin's section with the bent mesh instead of the former shape.
 
-    Its file has no texture. The wood of a box or the texture of a mesh's file gets one colour.
+    The mesh's file has no texture, so the wood of a box or a mesh's texture becomes one colour.
     """
     other = ("inner_m", "wall_m", "mesh", "unit", "up_axis")
     words: dict[str, Any] = {"mesh": mesh.name, "unit": "m"}
@@ -228,14 +228,14 @@ def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any
 
 
 def _numbers(T: Float[np.ndarray, "4 4"]) -> list[float]:
-    """Return numbers rounded to 1 nm, without a minus before 0."""
+    """Return a pose's numbers, rounded to 1e-9, without a minus before 0."""
     return [round(float(value), 9) + 0.0 for value in T.ravel()]
 
 
 def _words(
     material: Material, color: tuple[float, float, float], section: MaterialSection | None
 ) -> dict[str, Any]:
-    """Return the keys of the material in that colour; others are the configuration's."""
+    """Return the material's keys with that colour; all else comes from the configuration."""
     rounded = [round(band, 4) for band in color]
     return material_words(material, section) | {"base_color": rounded}
 
@@ -301,7 +301,7 @@ def described(fit: BinFit) -> dict[str, Any]:
 
 
 def summary(fit: BinFit) -> list[str]:
-    """Return the fit in a few lines."""
+    """Return a few lines that describe the fit."""
     pose = fit.pose
     x, y, z = (1e3 * pose.T_world_cam[:3, 3]).tolist()
     lines = [

@@ -1,16 +1,16 @@
 """The look of walls, floor and table, and the level of the lamps, from pictures of the empty bin.
 
-The configuration's own light falls on the fitted bin in the configuration's own renderer, and the
-reflectances are changed until its picture has the real one's colours (median over the pixels of a
-surface): so shading, shadows, gloss and light from wall to wall are accounted for.
+The configuration's renderer draws the fitted bin in the configuration's light, and the reflectances
+are changed until the drawn picture has the colours of the real one (median over the pixels of a
+surface): so shading, shadows, gloss and light from wall to wall are included.
 
-A picture alone tells products: light times reflectance times exposure. Colours are therefore
-relative to the floor, whose mean reflectance is stated, and to the lamps' own colours; the level of
-lamps and environment stays as configured, but for two frames of the measuring camera, with white
-and with black projected: their ratio knows lamps against projector, whatever the reflectance.
+A picture alone gives only products: light times reflectance times exposure. Colours are therefore
+relative to the floor, whose mean reflectance is stated, and to the lamps' own colours. The level of
+lamps and environment stays as configured, unless there are two frames of the measuring camera, with
+white and with black projected: their ratio compares lamps with projector for any reflectance.
 
 Leaves out: textures (a surface gets one colour), gloss (the configuration's), the reflectance at
-the projector's wavelength (the configuration's), and lamps that stand elsewhere than configured.
+the projector's wavelength (the configuration's), and lamps that are not where they are configured.
 """
 
 from collections.abc import Mapping, Sequence
@@ -56,10 +56,10 @@ class Frames:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinAppearance:
-    """Linear reflectances by surface, of those that the pictures show.
+    """Linear reflectances of the surfaces that the pictures show.
 
-    `pixels` are those compared, `off` the largest relative difference of a surface's band that is
-    left. `light_scale` multiplies lamps and environment; None: not known, as configured.
+    `pixels` counts the compared pixels; `off` is the largest remaining relative difference of a
+    band. `light_scale` multiplies lamps and environment; None means unknown, so they do not change.
     `exposure` is the picture's linear value per radiance [1 / (W sr^-1 m^-2)].
     """
 
@@ -81,17 +81,17 @@ def fit_look(
     renderer: Renderer,
     seed: int,
 ) -> BinAppearance:
-    """Return colours with which the renderer makes the pictures of the views.
+    """Return the colours with which the renderer reproduces the views' pictures.
 
     Args:
         cell: the configuration with the fitted bin's size.
-        shape: all of its bin, rim and outside too.
-        floor_reflectance: mean of its three bands; None: that of the configuration's floor.
-        frames: of the first view's camera.
+        shape: the whole bin of the cell, including rim and outside.
+        floor_reflectance: mean of the floor's three bands; None takes the configuration's floor.
+        frames: two frames of the first view's camera.
 
     Raises:
-        GraycastError: no view has a picture, a surface would have to reflect more than all light,
-            or the configuration has no light.
+        GraycastError: no view has a picture, a picture shows too little, a surface would have to
+            reflect more than all light, or the configuration has no light.
     """
     views = [view for view in views if view.rgb is not None]
     if not views:
@@ -141,7 +141,7 @@ def mean_color(material: Material) -> Color:
 
 
 def recolored(material: Material, color: Color) -> Material:
-    """Return a material with another colour everywhere; a mottle would limit the colour."""
+    """Return a material with one other colour and no mottle, because that limits the colour."""
     return replace(material, base_color=color, texture=None, mottle=0.0)
 
 
@@ -151,7 +151,7 @@ def _materials(scene: Scene) -> dict[str, Material]:
 
 
 def _scene_of_view(scene: Scene, grid: Grid, T_world_cam: Float[np.ndarray, "4 4"]) -> Scene:
-    """Return the cell before the view's camera, of which every n-th pixel is left."""
+    """Return the empty cell with the view's pose and the camera of the grid."""
     rig = replace(scene.rig, camera=grid.camera, speckle_contrast=0.0)
     return replace(scene, rig=rig, T_world_cam=T_world_cam.copy(), parts=())
 
@@ -173,7 +173,7 @@ def _render(
 
 
 def _picture(rendering: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, "h w 3"]:
-    """Return the colour picture's light, lamps scaled."""
+    """Return the light of the colour picture, with scaled lamps."""
     radiance = rendering.radiance
     rgb = scale * radiance.ambient_rgb + idle_share(rig) * radiance.white_rgb
     if not rgb.max() > 0:
@@ -189,7 +189,7 @@ def _masks(
 ) -> dict[str, Bool[np.ndarray, "rows columns"]]:
     """Return a mask of each surface where geometry and depth agree and its picture is usable.
 
-    `..._depth` is the same whatever the picture is like. The table is `floor_m` below the floor.
+    `..._depth` does not depend on the picture. The table is `floor_m` below the floor.
     """
     grid, step = view.grid(_ACROSS_PX), view.step(_ACROSS_PX)
     face, _ = shape.cast(T_world_cam, grid)
@@ -224,9 +224,9 @@ def _ratios(
     names: Sequence[str],
     step: int,
 ) -> dict[str, Float[np.ndarray, "3"]]:
-    """Real over rendered colour of each surface, median over pixels, mean over the views.
+    """Return each surface's ratio of real to rendered colour: median of pixels, mean of views.
 
-    Each view has an exposure of its own, which is taken out by its floor.
+    Each view has its own exposure, which the colour of its floor cancels.
     """
     relative: dict[str, list[np.ndarray]] = {name: [] for name in names}
     floors = []
@@ -247,7 +247,7 @@ def _stepped(color: Color, relative: Float[np.ndarray, "3"]) -> Color:
 def _two_lights(
     rendering: Rendering, rig: Rig
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], float]:
-    """Return, on the camera's sensor, the projector's white and all other light; and the leak."""
+    """Return the projector's white and all other light on the camera's sensor, and the leak."""
     radiance = rendering.radiance
     both = [radiance.white, radiance.ambient]
     white, ambient = (veiled(one, rig.veil) for one in both) if rig.veil else both
@@ -265,18 +265,18 @@ def light_scale(
     """Return the factor on lamps and environment that gives the measured ratio of black to white.
 
     With the projector's light w, its leak b w in black, and the lamps' light a times s, the frames
-    have the ratio `r = (b w + s a) / (w + s a)`, so `s = w (r - b) / (a (1 - r))`, whatever they
-    fall on: light from wall to wall changes both nearly alike. The median over pixels.
+    have the ratio `r = (b w + s a) / (w + s a)`, so `s = w (r - b) / (a (1 - r))` on any surface:
+    light from wall to wall changes both lights nearly equally. The result is the pixels' median.
 
     Args:
-        white: rendered light of the projector, and
-        ambient: of the lamps as configured.
-        leak: b.
-        frames: of which every n-th pixel, `step`, is taken.
+        white: rendered light w of the projector.
+        ambient: rendered light a of the lamps as configured.
+        leak: share b of the projector's light that remains in black.
+        frames: measured frames, of which every n-th pixel is used; `step` is n.
         lit: the pixels to use.
 
     Raises:
-        GraycastError: too few pixels are bright, unclipped, and lit by both.
+        GraycastError: too few pixels are bright, unclipped, and lit by projector and lamps.
     """
     real_white, real_black = frames.white[::step, ::step], frames.black[::step, ::step]
     lit = lit & (real_white > 0.05) & (real_white < 0.98) & (white > 0.05 * white.max())

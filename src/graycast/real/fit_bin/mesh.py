@@ -1,7 +1,7 @@
-"""Bin's mesh as flat faces, for the face that a pixel shows and the one nearest to a point.
+"""Bin's mesh as flat faces, for finding the face that a pixel shows and the nearest to a point.
 
-Surfaces are told by where a face looks: the inner floor and what else looks up (rims, ledges), the
-insides of the four walls and their outsides, as if seen from the bin's middle.
+A face's direction decides its surface: the inner floor, other faces that point up (rims, ledges),
+and the insides and outsides of the four walls, as seen from the bin's middle.
 """
 
 from dataclasses import dataclass, field
@@ -31,10 +31,10 @@ _REACH_M = 0.05  # Faces farther away than this are not found.
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshShape:
-    """Triangles in the world frame. Points find their nearest by samples spread over the faces.
+    """Triangles in the world frame, and samples on them for finding the nearest face of a point.
 
-    A sample's face is flat, so how far a point is from its plane is exact; how far it is along the
-    face is known to the samples' spacing, a few millimetres.
+    A sample's face is flat, so a point's distance from the plane is exact; its distance along the
+    face is as precise as the samples' spacing, a few millimetres.
     """
 
     mesh: Mesh
@@ -96,7 +96,7 @@ class MeshShape:
 
 
 def mesh_shape(box: Bin) -> MeshShape:
-    """Return the faces of a bin that is a mesh.
+    """Return the faces of a bin that has a mesh.
 
     Raises:
         ValueError: the bin is a box.
@@ -125,7 +125,7 @@ def mesh_shape(box: Bin) -> MeshShape:
 
 
 def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, " n"]]:
-    """Return a mask of the normals nearest to each of +x, -x, +y, -y, +z, -z."""
+    """Return six masks, of the normals nearest to +x, -x, +y, -y, +z and -z."""
     axis = np.abs(normal).argmax(axis=1)
     positive = normal[np.arange(len(normal)), axis] > 0
     return [(axis == a) & (positive == sign) for a in range(3) for sign in (True, False)]
@@ -134,7 +134,7 @@ def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, " n"]]:
 def _spread(
     corner: Float[np.ndarray, "f 3 3"], area_m2: Float[np.ndarray, " f"]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Points spread evenly over the mesh, plus each face's centroid, and the face of each point."""
+    """Return points spread evenly over the mesh plus all centroids, and the face of each point."""
     rng = np.random.default_rng(0)  # fixed: a fit depends on its input alone
     place = (np.arange(_SAMPLES) + rng.random(_SAMPLES)) / _SAMPLES
     owner = np.searchsorted(np.cumsum(area_m2) / area_m2.sum(), place).clip(0, len(corner) - 1)
@@ -149,7 +149,7 @@ def _spread(
 def _surfaces(
     box: Bin, mesh: Mesh, middle_m: Float[np.ndarray, "f 3"], normal: Float[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, " f"]:
-    """Return indices into `NAMES`."""
+    """Return the surface of each face as an index into `NAMES`."""
     axis = np.abs(normal).argmax(axis=1)
     each = np.arange(len(normal))
     sign = np.sign(normal[each, axis])

@@ -1,7 +1,7 @@
-"""The bin's pose from depth, and what speaks for it: residuals by face, and what nothing holds.
+"""The bin's pose from depth, with its evidence: residuals by face, and undetermined freedoms.
 
-Leaves out: walls that lean, bend or bulge, rounded edges, and errors of the scanner that all
-points share; residuals by face show them.
+Leaves out: walls that lean, bend or bulge, rounded edges, and scanner errors common to all points;
+the residuals by face show such errors.
 """
 
 from collections.abc import Sequence
@@ -40,9 +40,9 @@ _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 class FaceFit:
     """The agreement of one surface of the bin with the measured depth.
 
-    `seen_px` pixels should show it; `measured` is the share of them with depth, `inliers` that with
-    depth of this surface. The rest is about signed distances of inliers from its planes, positive
-    on the visible side; NaN where there are none.
+    `seen_px` counts the pixels that should show the surface; `measured` is the share of them with
+    depth, `inliers` the share with depth of this surface. The lengths describe signed distances of
+    inliers from its planes, positive on the visible side; they are NaN without inliers.
     """
 
     name: str
@@ -58,9 +58,9 @@ class FaceFit:
 class PoseFit:
     """A pose with its evidence.
 
-    `sigma` is the standard deviation of each of `FREEDOMS` [m, rad], of the noise that the
-    residuals show, as if points were independent; of `by_edges`, which no face holds well, it says
-    nothing: they follow from where rim and floor end. `loose` names those that nothing holds.
+    `sigma` is the standard deviation of each of `FREEDOMS` [m, rad], from the noise in the
+    residuals as if points were independent. It does not apply to `by_edges`: no face determines
+    these freedoms well, but the edges of rim and floor do. Nothing determines those in `loose`.
     """
 
     T_world_cam: Float[np.ndarray, "4 4"]
@@ -89,10 +89,10 @@ def find_pose(
 ) -> PoseFit:
     """Find the pose from all views together.
 
-    Fits of the shape begin at the rough pose that is `stated`, or else at likely places of the box
-    that stands in for the shape. A box looks the same after half a turn, a square one after a
-    quarter: of these poses it is the one whose azimuth (of the camera's x axis in the world) is
-    nearest to `azimuth_rad`.
+    Fits of the shape begin at the rough pose `stated`, or else at likely poses of a box of about
+    the same shape. A box looks the same after half a turn, a square box after a quarter: of these
+    poses, the result is the one whose azimuth (of the camera's x axis in the world) is nearest to
+    `azimuth_rad`.
 
     Raises:
         GraycastError: nothing in the views looks like the bin.
@@ -122,7 +122,7 @@ def _best_settled(
     grids: Sequence[Grid],
     candidates: Sequence[Float[np.ndarray, "4 4"]],
 ) -> PoseFit:
-    """Return the best settled pose of the candidates; raise the first refusal if none is left."""
+    """Return the best settled pose of the candidates; raise the first refusal if all fail."""
     fits, refusals = [], []
     for T in candidates:
         try:
@@ -147,10 +147,10 @@ def _best_first(
 def settle(
     views: Sequence[BinView], shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> PoseFit:
-    """Refine a pose: by faces, and by edges where these fail; return it with its evidence.
+    """Refine a pose by faces, and by edges where faces fail; return the pose with its evidence.
 
     Raises:
-        GraycastError: too little of what is measured agrees with the bin.
+        GraycastError: too little of the measured depth agrees with the bin.
     """
     cloud = np.concatenate([view.cloud() for view in views])
     fit = judge(views, shape, register(cloud, T_world_cam, shape, first_m=3 * LAST_M))
@@ -170,15 +170,15 @@ def hold_by_edges(
     loose: Sequence[str],
     noise_m: float,
 ) -> tuple[Float[np.ndarray, "4 4"], tuple[str, ...]]:
-    """Return the pose moved along some of `SEARCHED` to the most evidence, and those it is held in.
+    """Move a pose along loose freedoms to the most evidence; return it and the determined freedoms.
 
-    Walls that are lost, in shadow or hardly seen leave the place along an axis, or the turn about
-    z, free. Edges of the rim and the floor hold them still, to a part of a pixel: a pose that is
-    shifted predicts the rim where depth saw past it, and past the rim where depth saw it. It is a
-    pattern search: evidence counts pixels, so it has no derivative.
+    If walls are missing, in shadow or hardly visible, the place along an axis or the turn about z
+    is not determined. Edges of rim and floor still determine it to a fraction of a pixel, because a
+    shifted pose predicts the rim where depth shows none, and the reverse. The method is pattern
+    search: evidence counts pixels, so it has no derivative.
 
     Args:
-        loose: the degrees of freedom to find; others than `SEARCHED` are left alone.
+        loose: the degrees of freedom to find; only those in `SEARCHED` are changed.
         noise_m: RMS of the residuals.
     """
     free = [name for name in SEARCHED if name in loose]
@@ -224,7 +224,7 @@ def judge(
     """Judge a pose by residuals and geometry; `trust` as in `register`.
 
     Raises:
-        GraycastError: too little of what is measured agrees with the bin.
+        GraycastError: too little of the measured depth agrees with the bin.
     """
     cloud = np.concatenate([view.cloud() for view in views])
     pairs = pairs_of(shape, T_world_cam, cloud, LAST_M, trust)
@@ -259,7 +259,7 @@ def judge(
 def difference(
     T_world_cam: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]
 ) -> tuple[float, float]:
-    """Return the distance between two fits: places of the bin's origin [m], and the angle [rad]."""
+    """Return the distance of the bin's origin in two fits [m], and the angle between them [rad]."""
     T_a, T_b = inverse(T_world_cam), inverse(other)
     turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude()
     return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(turn)
@@ -279,7 +279,7 @@ def _turned(
 
 @dataclass(frozen=True, slots=True)
 class _Match:
-    """Comparison for all views' pixels: the expected surface, and what was measured there."""
+    """The expected surface at each pixel of all views, and whether depth is there and agrees."""
 
     surface: Int[np.ndarray, " n"]
     measured: Bool[np.ndarray, " n"]
@@ -301,8 +301,6 @@ def _agreeing(shape: BinShape, match: _Match) -> float:
     """Return the lower of two agreeing shares: of depth at the floor, and at the walls.
 
     A table can look like a floor, but has no walls; a box on its side has walls, but no floor.
-
-    A table will do for a floor, but has no walls; a box on its side has walls, but no floor.
     """
     shares, is_of_floor = [], np.array(shape.names) == "floor"
     for floor in (True, False):
@@ -328,7 +326,7 @@ def _face_fit(shape: BinShape, k: int, match: _Match, pairs: FacePairs) -> FaceF
 
 
 def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
-    """Return square roots of the covariance's diagonal; inf where nothing holds."""
+    """Return standard deviations of the freedoms; inf for those that nothing determines."""
     size = np.sqrt(np.maximum(np.diag(A), 1e-12))
     value, vector = np.linalg.eigh(A / np.outer(size, size))
     determined = value > 1e-9
@@ -338,7 +336,7 @@ def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
 
 
 def _loose(shape: BinShape, pairs: FacePairs, sigma: Float[np.ndarray, "6"]) -> tuple[str, ...]:
-    """Return the freedoms with a large deviation, or with few points on faces across their axis."""
+    """Return the freedoms with a large deviation, or with few points on faces across the axis."""
     used = pairs.weight > 0
     along = np.bincount(shape.axis[pairs.face[used]], minlength=3)
     limit = np.array([_LOOSE_M] * 3 + [_LOOSE_RAD] * 3)

@@ -1,9 +1,9 @@
-"""Points of a scan drawn to the faces of the bin, step by step: robust point-to-plane ICP.
+"""Registration of a scan's points to the faces of the bin: robust point-to-plane ICP.
 
-Every point is drawn to the plane of the nearest face whose normal is about its own. Tukey's weight
-takes clutter out; its scale is that of all faces across one axis, so that a precise floor does not
-throw out walls that are measured worse, and two walls farther apart than stated share the error.
-What counts shrinks from coarse to fine.
+Every point moves towards the plane of the nearest face with about the same normal. Tukey's weight
+removes clutter; its scale is common to all faces across one axis, so that a precise floor does not
+exclude walls that are measured worse, and two walls farther apart than stated share the error.
+The largest distance of a point that counts shrinks from coarse to fine.
 
 Source: Chen & Medioni, "Object modelling by registration of multiple range images", 1992
 (point-to-plane); Beaton & Tukey 1974 (weights).
@@ -38,8 +38,8 @@ def register(
     Args:
         cloud: places [m] and normals in the camera frame, as in `BinView.cloud`.
         T_world_cam: the first pose.
-        first_m: how far from its face a point may be at first.
-        trust: a factor on the weights of each surface's points; None: 1.
+        first_m: largest distance of a point from its face at first.
+        trust: factor on the weights of each surface's points; None means 1.
     """
     T, reach_m = T_world_cam, first_m
     for _ in range(iterations):
@@ -55,7 +55,7 @@ def register(
 
 @dataclass(frozen=True, slots=True)
 class FacePairs:
-    """Face of each point, its height over it, and its weight [1 / m^2], 0 for outliers."""
+    """Each point's face, height over that face, and weight [1 / m^2], which is 0 for outliers."""
 
     point: Float[np.ndarray, "n 3"]  # in the world
     face: Int[np.ndarray, " n"]
@@ -93,9 +93,9 @@ def pairs_of(
 def equations(
     shape: BinShape, pairs: FacePairs
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6"]]:
-    """Return normal equations of a small motion (shift, turn) of the points in the world.
+    """Return the normal equations for a small motion (shift, turn) of the points in the world.
 
-    A point moves by `t + w x p`, so its height over a face of normal n by `n . t + (p x n) . w`.
+    A motion of a point by `t + w x p` changes its height over a face by `n . t + (p x n) . w`.
     """
     used = pairs.weight > 0
     normal = shape.normal[pairs.face[used]]
@@ -105,6 +105,6 @@ def equations(
 
 
 def _solved(A: Float[np.ndarray, "6 6"], b: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-    """Return the motion, damped so little that only what nothing holds stays where it is."""
+    """Solve for the motion, with damping so weak that it stops only undetermined freedoms."""
     damping = 1e-6 * max(float(np.diag(A).max()), 1.0)
     return np.linalg.solve(A + damping * np.diag([1.0, 1.0, 1.0, 0.01, 0.01, 0.01]), b)

@@ -13,10 +13,10 @@ COS_ALIKE = 0.707  # The normals of a point and of its face differ by at most 45
 
 @runtime_checkable
 class BinShape(Protocol):
-    """Faces that lie in planes `normal . p = offset_m`; several may make one surface.
+    """Faces in planes `normal . p = offset_m`; several faces may make one surface.
 
-    World frame: origin in the middle of the inner floor, z up. Normals point towards where a face
-    can be seen from.
+    World frame: origin in the middle of the inner floor, z up. Normals point to the visible side of
+    a face.
     """
 
     @property
@@ -24,7 +24,7 @@ class BinShape(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the surfaces: floor, wall +x, ..."""
+        """Names of the surfaces, such as floor and wall +x."""
         ...
 
     @property
@@ -54,8 +54,8 @@ class BinShape(Protocol):
     ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Return the nearest face to each point, and its distance [m].
 
-        Of those that can be seen from `eye_m` and lie within 45 degrees of the point's own normal;
-        `NO_FACE` and inf where there is none.
+        Only faces count that are visible from `eye_m` and within 45 degrees of the point's normal;
+        without such a face, the result is `NO_FACE` and inf.
         """
         ...
 
@@ -64,7 +64,7 @@ class BinShape(Protocol):
     ) -> tuple[Int[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
         """Return the first face that each pixel's ray meets, from either side, and its z-depth [m].
 
-        `NO_FACE` and inf where it meets nothing.
+        Where a ray meets nothing, the result is `NO_FACE` and inf.
         """
         ...
 
@@ -73,8 +73,8 @@ class BinShape(Protocol):
     ) -> Float[np.ndarray, " p"]:
         """Return the evidence for each pose, summed over the measured pixels.
 
-        1 where it agrees (falling to 0 over `tolerance_m`), -1 where it lies behind a face through
-        which it would have been seen, 0 where it says nothing.
+        A pixel counts 1 if its depth agrees (falling to 0 over `tolerance_m`), -1 if its depth is
+        behind a face, so that the ray would pass through the face, and else 0.
         """
         ...
 
@@ -82,7 +82,7 @@ class BinShape(Protocol):
 def height_over(
     shape: BinShape, point: Float[np.ndarray, "*n 3"], face: Int[np.ndarray, "*n"]
 ) -> Float[np.ndarray, "*n"]:
-    """Signed distance [m] of points from their face's plane, positive on its visible side."""
+    """Return the signed distance [m] of points from their face's plane; visible side positive."""
     return (shape.normal[face] * point).sum(axis=-1) - shape.offset_m[face]
 
 

@@ -1,10 +1,10 @@
-"""Rough search of the bin without a hint, over planes that may be its floor.
+"""Rough search for the bin without a hint, over planes that may be its floor.
 
-A pose is judged by evidence along the rays: depth that agrees with the box counts for it, depth
-behind one of its faces, which would have been seen through it, counts against it, and depth that is
-missing or before it counts nothing. In the search all that stands above the floor counts, too,
-where it is in the box or its walls: a free table beside the bin may look like its floor, but then
-the true walls stand beside the box.
+A pose is judged by evidence along the rays: depth that agrees with the box counts for the pose,
+depth behind a face of the box counts against it, because the face would have hidden that, and depth
+that is missing or in front of the box does not count. In the search, depth above the floor counts,
+too, if it is in the box or its walls: an empty table next to the bin may look like the floor, but
+then the true walls are outside of the box.
 """
 
 from collections.abc import Callable
@@ -32,15 +32,15 @@ _APART = 0.25  # Poses nearer than this share of the box's shorter side count as
 def start_poses(
     box: OpenBox, grid: Grid, *, each: int, seed: int
 ) -> list[Float[np.ndarray, "4 4"]]:
-    """`T_world_cam` of likely poses, each clearly another, on every plane that may be the floor.
+    """Return `T_world_cam` of likely, clearly different poses on each plane that may be the floor.
 
-    A free table around the bin may look more like a floor than the floor does, at coarse steps: so
-    each plane has its turn.
+    With coarse steps, an empty table around the bin may look more like a floor than the floor: so
+    every plane is searched.
 
     Args:
-        grid: a coarse one.
-        each: how many on a plane.
-        seed: of the search for planes.
+        grid: a coarse grid.
+        each: largest number of poses on a plane.
+        seed: seed for the search for planes.
     """
     known = np.isfinite(grid.depth_m)
     ray, depth_m = grid.ray[known], grid.depth_m[known]
@@ -75,9 +75,9 @@ def _climbed(
     T_world_cam: Float[np.ndarray, "p 4 4"],
     score: Callable[[Float[np.ndarray, "p 4 4"]], Float[np.ndarray, " p"]],
 ) -> tuple[Float[np.ndarray, "p 4 4"], Float[np.ndarray, " p"]]:
-    """Move each pose in ever smaller steps while that improves it; return also its score.
+    """Improve each pose by ever smaller steps; return the poses and their scores.
 
-    A grid that is coarse enough to be quick may miss the one place where floor and walls fit.
+    A grid that is coarse enough to be fast may miss the only place where floor and walls fit.
     """
     best, reached = T_world_cam.copy(), score(T_world_cam)
     for part in (0.5, 0.5, 0.25, 0.25, 0.125):
@@ -90,7 +90,7 @@ def _climbed(
 
 
 def _moves(aside_m: float, up_m: float, part: float) -> list[Float[np.ndarray, "4 4"]]:
-    """Return steps to and fro along x, y and z, and about z by a part of the grid's step."""
+    """Return steps in both directions along x, y and z, and about z by a part of the yaw step."""
     ways = np.diag([aside_m, aside_m, up_m])
     shifts = [rigid(np.eye(3), sign * way) for way in ways for sign in (1, -1)]
     angles = [sign * part * _YAW_STEP_RAD for sign in (1, -1)]
@@ -100,10 +100,10 @@ def _moves(aside_m: float, up_m: float, part: float) -> list[Float[np.ndarray, "
 def planes(
     point: Float[np.ndarray, "rows columns 3"], *, seed: int
 ) -> list[tuple[Float[np.ndarray, "3"], float]]:
-    """The largest planes `n . p = d` of an organised cloud, n towards the camera; largest first.
+    """Return the largest planes `n . p = d` of a cloud, largest first, with n towards the camera.
 
-    Each is found by random triples of near points (RANSAC), fitted to its points, which are then
-    taken out.
+    Random triples of near points (RANSAC) give each plane. It is fitted to its points, which are
+    then removed.
 
     Source: Fischler & Bolles, "Random sample consensus", 1981.
     """
@@ -133,7 +133,7 @@ def planes(
 def _local_planes(
     point: Float[np.ndarray, "rows columns 3"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 4"]:
-    """Return planes through random pixels and two neighbours, a thirtieth of the picture away."""
+    """Return planes through random pixels and two others, a thirtieth of the picture away."""
     rows, columns = point.shape[:2]
     step = max(1, round(max(rows, columns) / 30))
     y = rng.integers(0, max(rows - step, 1), 4 * _TRIALS)
@@ -156,7 +156,7 @@ def _fitted(point: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], fl
 def _poses_on(
     box: OpenBox, point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], offset_m: float
 ) -> Float[np.ndarray, "p 4 4"]:
-    """Return the box's floor on a plane, at all places and turns of a grid."""
+    """Return the poses with the box's floor on a plane, at all places and turns of a grid."""
     T_plane_cam = _plane_frame(normal, offset_m)
     at = transform_points(T_plane_cam, point)
     on = at[np.abs(at[:, 2]) < _PLANE_M, :2]
@@ -174,7 +174,7 @@ def _poses_on(
 
 
 def _plane_frame(normal: Float[np.ndarray, "3"], offset_m: float) -> Float[np.ndarray, "4 4"]:
-    """`T_plane_cam`: origin on the plane under the camera, z its normal."""
+    """Return `T_plane_cam`: origin on the plane under the camera, z along the plane's normal."""
     aside = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     aside /= np.linalg.norm(aside)
     R_plane_cam = np.stack([aside, np.cross(normal, aside), normal])
@@ -184,7 +184,7 @@ def _plane_frame(normal: Float[np.ndarray, "3"], offset_m: float) -> Float[np.nd
 def _distinct(
     box: OpenBox, T_world_cam: Float[np.ndarray, "p 4 4"], count: int
 ) -> list[Float[np.ndarray, "4 4"]]:
-    """Return the first poses that are not nearly one of those before."""
+    """Return up to `count` poses, without any that is nearly the same as an earlier one."""
     apart_m = _APART * min(box.inner_m[:2])
     corner = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]) * np.array(box.inner_m) / 2
     distinct: list[Float[np.ndarray, "4 4"]] = []
@@ -200,6 +200,6 @@ def _distinct(
 
 
 def _shift_m(corners: np.ndarray, other: np.ndarray) -> float:
-    """Largest distance from a corner to the nearest of the other box: turns by symmetry are 0."""
+    """Return the largest distance from a corner to the nearest corner of the other box."""
     apart = np.linalg.norm(corners[:, None] - other[None], axis=-1)
     return float(apart.min(axis=1).max())

@@ -1,8 +1,8 @@
 """Hand-drawn labels: COCO and LabelMe files read as named masks.
 
-Coordinates of both count from the corner of the image, half a pixel before this package's own:
+Coordinates of both formats start at the corner of the image, half a pixel before this package's:
 pixel (0, 0) covers [0, 1] x [0, 1]. Polygons become masks as pycocotools rasterises them. LabelMe's
-own masks are pictures of a box of pixels, whose first and last pixel the points name.
+own masks are pictures of a box of pixels; two points give its first and last pixel.
 """
 
 import base64
@@ -35,7 +35,7 @@ Runs = Mapping[str, Any]  # compressed run lengths
 class Annotation:
     """Hand-drawn labels of a picture: a name and compressed run lengths per instance.
 
-    `beyond_px` is how far the farthest corner lies outside of the picture; 0 if none does.
+    `beyond_px` is the distance of the farthest corner outside of the picture; 0 if there is none.
     """
 
     source: str
@@ -52,15 +52,15 @@ def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Annota
     """Return the pictures' labels by file stem, and the names of all objects in order.
 
     Args:
-        path: a COCO file, or a folder with one, or a folder of LabelMe files named as the pictures.
-            Hidden files are not read: macOS leaves some beside each file.
+        path: a COCO file, a folder with one, or a folder of LabelMe files named like the pictures.
+            Hidden files are not read: macOS adds some next to other files.
         stems: the pictures' file stems.
 
     Returns:
-        COCO's names are ordered by category id, LabelMe's by the alphabet.
+        The labels, and the names: COCO's by category id, LabelMe's in alphabetical order.
 
     Raises:
-        DatasetError: it is neither, or a picture has no annotation, or a shape cannot be used.
+        DatasetError: there are no such files, a picture has no labels, or a shape is unusable.
     """
     if path.is_dir():
         files = [file for file in visible_entries(path) if file.suffix == ".json"]
@@ -118,7 +118,7 @@ def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
 
 
 def _stem(file_name: str) -> str:
-    """Return a picture's name without ending and folders, even those with backslashes."""
+    """Return a picture's name without ending and folders, even if separated by backslashes."""
     return Path(file_name.replace("\\", "/")).stem
 
 
@@ -223,7 +223,7 @@ def _labelme_outline(shape: Mapping[str, Any], name: str) -> Float[np.ndarray, "
 
 
 def _labelme_mask(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> Runs:
-    """Return a PNG of the pixels from the first point to the second, both included."""
+    """Return the run lengths of a PNG mask from the first point to the second, both included."""
     try:
         content = base64.b64decode(shape["mask"], validate=True)
         inside = pixels(content, "its mask") > 0
@@ -249,10 +249,10 @@ def _labelme_mask(shape: Mapping[str, Any], size: tuple[int, int], name: str) ->
 
 
 def _corners(numbers: Any, name: str) -> Float[np.ndarray, "_ 2"]:
-    """Return corners of a polygon from x, y, x, y ...
+    """Return the corners of a polygon from a list of x, y, x, y ...
 
     Raises:
-        DatasetError: these are not the numbers of three corners or more.
+        DatasetError: the list does not contain the numbers of at least three corners.
     """
     if not isinstance(numbers, list):
         raise DatasetError(f"{name}: is {numbers!r}: a polygon is a list of x, y, x, y ...")
@@ -272,10 +272,10 @@ def _corners(numbers: Any, name: str) -> Float[np.ndarray, "_ 2"]:
 
 
 def _beyond_px(points: Float[np.ndarray, "_ 2"], size: tuple[int, int], name: str) -> float:
-    """Return how far the farthest corner lies outside of the picture.
+    """Return the distance [px] of the farthest corner outside of the picture, or 0.
 
     Raises:
-        DatasetError: it is so far that this is another picture's polygon.
+        DatasetError: the corner is so far outside that the polygon must belong to another picture.
     """
     height_px, width_px = size
     beyond_px = np.maximum(-points, points - [width_px, height_px]).max(axis=1)
@@ -289,7 +289,7 @@ def _beyond_px(points: Float[np.ndarray, "_ 2"], size: tuple[int, int], name: st
 
 
 def _rasterised(points: Float[np.ndarray, "_ 2"], size: tuple[int, int]) -> Runs:
-    """Return a polygon's run lengths, cut at the border of the picture.
+    """Return the run lengths of a polygon that is cut at the border of the picture.
 
     pycocotools places corners with negative coordinates wrongly, so the picture gets a margin.
     """

@@ -1,4 +1,4 @@
-"""Real pictures and depth, paired by the names of their files and read with care."""
+"""Real pictures and depth, paired by their file names, read and checked."""
 
 import warnings
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ _NEAREST_M = 0.01  # No scanner measures a smaller distance.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RealPicture:
-    """Files of one picture; None for each that does not exist."""
+    """The files of one picture; None for a file that does not exist."""
 
     stem: str
     rgb: Path | None
@@ -46,9 +46,9 @@ class RealPicture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotData:
-    """One picture as arrays; `rgb` may be the colours of an organised cloud.
+    """One picture as arrays; `rgb` may contain the colours of an organised cloud.
 
-    `largest_px` and `beyond_px` are as of `DepthFile`.
+    `DepthFile` describes `largest_px` and `beyond_px`.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"] | None
@@ -71,10 +71,10 @@ class ShotData:
 
 
 def find_shots(folder: Path) -> list[RealPicture]:
-    """Return the pictures of a folder, by the names of the files in its `rgb`, `gray` and `depth`.
+    """Return a folder's pictures, paired by the file names in its `rgb`, `gray` and `depth`.
 
     Raises:
-        DatasetError: there are none, or a picture is in one folder and not in another.
+        DatasetError: there are no pictures, or a picture is in one folder and not in another.
     """
     files_of: dict[str, dict[str, Path]] = {}
     for name, endings in FOLDERS.items():
@@ -111,7 +111,7 @@ def read_shot(shot: RealPicture, options: FileOptions) -> ShotData:
     """Read one picture.
 
     Raises:
-        DatasetError: a file is damaged, of another size or form, or something was not said.
+        DatasetError: a file is damaged or has another size or form, or an option is missing.
     """
     for path in shot.files.values():
         refuse_damaged(path)
@@ -138,17 +138,17 @@ def read_shot(shot: RealPicture, options: FileOptions) -> ShotData:
 
 
 def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
-    """Return the millimetres of one step of the stored depth.
+    """Return the step of the stored depth in millimetres.
 
-    Whole numbers keep their own scale, so that nothing is rounded; floats get the finest step that
-    reaches the deepest, as simulated depth does.
+    Whole numbers keep their own scale, so that nothing is rounded; floats get the finest step with
+    which 16 bits reach the largest depth, like simulated depth.
 
     Args:
-        deepest_m: the largest depth that is stored.
+        deepest_m: the largest depth to store.
         scale_m: the scale of files with whole numbers; None if some hold floats.
 
     Raises:
-        DatasetError: 16 bits do not reach so far.
+        DatasetError: 16 bits cannot store the largest depth.
     """
     if scale_m is not None and deepest_m / scale_m <= DEPTH_MAX + 0.5:
         return float(f"{scale_m * 1e3:.12g}")
@@ -170,10 +170,10 @@ def is_whole(path: Path) -> bool:
 
 
 def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a colour picture of 8-bit sRGB; transparency is left out.
+    """Return a colour picture in 8-bit sRGB, without its transparency.
 
     Raises:
-        DatasetError: the file is missing, damaged, or has no three channels of 8 bits.
+        DatasetError: the file is missing or damaged, or does not have colour channels of 8 bits.
     """
     image = read_image(path)
     if image.ndim != 3 or image.shape[2] not in (3, 4) or image.dtype != np.uint8:
@@ -212,7 +212,7 @@ def _refuse_sizes(shot: RealPicture, images: Mapping[str, np.ndarray | None]) ->
 
 
 def refuse_damaged(path: Path) -> None:
-    """Refuse incomplete pictures, which OpenCV's decoders accept.
+    """Refuse an incomplete picture, which OpenCV's decoders would accept.
 
     Raises:
         DatasetError: the file is cut off or damaged.

@@ -30,7 +30,7 @@ from .survey import survey
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Import:
-    """Result of an import: the sources of the scenes in their order, and their content."""
+    """Result of an import: names of the pictures in the order of the scenes, and their content."""
 
     stems: tuple[str, ...]
     categories: tuple[str, ...]  # object ids count from 1
@@ -51,18 +51,18 @@ def import_real(
     range_m: tuple[float, float] | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Import:
-    """Write real pictures as a dataset; a picture is a scene, in the order of their names.
+    """Write real pictures as a dataset; each picture becomes a scene, in the order of their names.
 
     Args:
-        folder: has the folders `rgb`, `gray` and `depth`, or some of them.
+        folder: folder that contains `rgb`, `gray` and `depth`, or some of these folders.
         out: a folder that does not exist or is empty.
-        files: what they do not say; the distortion is that of pictures, which stay as they are.
-        annotations: a COCO file or a folder of LabelMe's; `folder/annotations` where it is None.
-        labelled: False takes pictures without annotations; the dataset then has no masks.
+        files: facts that the files do not state; the pictures stay distorted.
+        annotations: a COCO file or a folder of LabelMe files; None means `folder/annotations`.
+        labelled: False imports pictures without annotations; the dataset then has no masks.
         names: the objects' names in the order of their ids, such as those of a simulated dataset.
-        range_m: near and far end of the range of a scanner like this one; depth far outside of it
-            is refused.
-        progress: counts pictures.
+        range_m: near and far end of the working range of a similar scanner; depth far outside of
+            that range is refused.
+        progress: meter for the number of pictures.
 
     Raises:
         GraycastError: a file is missing, damaged or contradicts another, an annotation cannot be
@@ -125,7 +125,7 @@ def _object_names(own: Sequence[str], names: Sequence[str] | None) -> list[str]:
 
 
 def _cut_notes(labels: Mapping[str, Annotation]) -> tuple[str, ...]:
-    """Return a note if outlines extend beyond their pictures."""
+    """Return a note if outlines extend beyond their pictures, else nothing."""
     beyond = {stem: each.beyond_px for stem, each in labels.items() if each.beyond_px > 0}
     if not beyond:
         return ()

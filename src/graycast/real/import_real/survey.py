@@ -18,7 +18,7 @@ _FOR_KIND = 20  # number of pictures tested for z or ray length
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survey:
-    """The properties that all pictures share, the step of their depth, and notes about it."""
+    """The first picture, whose properties all pictures share, the depth step, and notes."""
 
     first: ShotData
     step_mm: float
@@ -34,10 +34,10 @@ def survey(
     """Read all pictures, so that unusable ones are reported before anything is written.
 
     Args:
-        range_m: as of `import_real`.
+        range_m: see `import_real`.
 
     Raises:
-        DatasetError: a picture cannot be used, or is unlike the first one.
+        DatasetError: a picture cannot be used, or differs in form from the first picture.
     """
     first: ShotData | None = None
     notes: list[str] = []
@@ -115,7 +115,7 @@ def _pixel_notes(pixels: dict[RealPicture, int], what: str) -> Iterator[str]:
 def _step_notes(
     deepest: tuple[float, RealPicture], step_mm: float, usual_m: float, usual_mm: float
 ) -> Iterator[str]:
-    """Say which few pixels make the steps of all others coarse, and how to leave them out."""
+    """Yield a note if a few far pixels make the depth steps coarse, with the remedy."""
     if step_mm < _COARSER * usual_mm:
         return
     deepest_m, shot = deepest

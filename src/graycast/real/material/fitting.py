@@ -1,7 +1,7 @@
-"""Base colour and roughness of a surface from the light that it reflects at many angles.
+"""Fit of base colour and roughness to the light that a surface reflects at many angles.
 
 The model is the renderer's own BSDF. Its value at a pixel is the mean over the uncertain normal, so
-that noise of the normals is not taken for roughness. Residuals follow Student's t distribution,
+that noise of the normals is not mistaken for roughness. Residuals follow Student's t distribution,
 because some pixels have interreflected light or a wrong normal:
 
     (light - k m) / sqrt(sigma^2 + k^2 (s^2 m^2 + v)) ~ t(4),
@@ -11,8 +11,7 @@ relative scatter s. A clipped pixel counts with the probability of being at leas
 Intervals are those of the profile likelihood. The likelihood counts windows of normals, not pixels,
 because pixels that share a normal err together.
 
-Leaves out: grooves, films, glass, and light that mirrors reflect with its stripes, which counts as
-direct light.
+Leaves out: grooves, films, glass, and stripes reflected by mirrors, which count as direct light.
 """
 
 import math
@@ -59,7 +58,7 @@ class MaterialFit:
     """A fitted surface.
 
     `color` is the base colour at the projector's wavelength. `scale` is the light of a BSDF of 1
-    per steradian, which is `known` from a reference or fitted. `scatter` is the relative spread of
+    per steradian; it is `known` from a reference, or fitted. `scatter` is the relative spread of
     the light of single pixels: grain, speckle and uneven normals. `lead` is the difference of log
     likelihoods by which `kind` is preferred to the other kind.
     """
@@ -96,11 +95,11 @@ def fit_material(
     """Fit kind, base colour and roughness to the observations of one surface.
 
     Args:
-        scale: see `MaterialFit.scale` and `scale_of`; None fits it as well.
-        seed: of the choice of pixels.
+        scale: see `MaterialFit.scale` and `scale_of`; None fits the scale as well.
+        seed: seed for the choice of pixels.
 
     Raises:
-        GraycastError: the pixels are too few, show no highlight, or are of no opaque material.
+        GraycastError: the pixels are too few, show no highlight, or fit no opaque material.
     """
     if len(observations) < FEWEST:
         raise GraycastError(
@@ -173,7 +172,7 @@ def _choose(observations: Reflections, rng: np.random.Generator) -> tuple[Reflec
 def _search(model: SurfaceModel, kind: Kind) -> list[_Curve]:
     """Return the best fits at many values of roughness, in rising order.
 
-    The steps become finer about the best value, until several values are likely.
+    The steps become finer around the best value, until several values are likely.
     """
     curves = {value: _best_at(model, kind, value) for value in COARSE}
     for step in FINE_STEPS:
@@ -191,7 +190,7 @@ def _search(model: SurfaceModel, kind: Kind) -> list[_Curve]:
 def _best_at(
     model: SurfaceModel, kind: Kind, roughness: float, color: float | None = None
 ) -> _Curve:
-    """Fit all that is free at one roughness: scatter, scale and, if it is None, the colour."""
+    """Fit scatter and scale at one roughness, and the colour if `color` is None."""
     nodes, light = model.nodes(kind, roughness), model.observations.light
     bounds = [(-5.0, 1.0), (-25.0, 40.0)]
     bounds += [] if color is not None else [(_logit(DARKEST[kind]), _logit(BRIGHTEST))]
@@ -236,9 +235,9 @@ def _simplex(start: Sequence[float]) -> Float[np.ndarray, "points n"]:
 
 
 def _interval(values: Sequence[float], scores: Sequence[float]) -> FittedValue:
-    """Return the value of the highest score, and where the scores cross the limit below it.
+    """Return the value with the highest score, and the values at which scores cross the limit.
 
-    Values rise. The peak is that of the parabola through the three highest points.
+    Values must rise. The peak is that of a parabola through the best point and its neighbours.
     """
     x, y = np.array(values), np.array(scores)
     top = int(y.argmax())
@@ -266,7 +265,7 @@ def _color_interval(model: SurfaceModel, kind: Kind, curves: Sequence[_Curve]) -
 
     At the best roughness, the profile over the base colour gives the interval. At another
     roughness, the best colour differs, and the interval is narrower in proportion to the root of
-    the score that is left.
+    the score's height above the limit.
     """
     top = max(curves, key=lambda one: one.score)
     colors, scores = [top.color], [top.score]

@@ -17,7 +17,7 @@ BINS = 24
 
 
 def describe_fit(fit: MaterialFit) -> list[str]:
-    """Return the lines that tell a person the result and what the scan does not determine."""
+    """Return printed lines with the result, and notes on anything that the scan leaves open."""
     low, high = (math.degrees(angle) for angle in fit.angles_rad)
     lines = [
         f"{fit.pixels} pixels at half angles from {low:.0f} to {high:.0f} degrees",
@@ -97,7 +97,7 @@ def _number(interval: FittedValue, widest: float) -> str:
 
 
 def _line(key: str, text: str, interval: FittedValue, widest: float, more: str) -> list[str]:
-    """Return a key with its interval, as a comment alone if the scan does not determine it."""
+    """Return a key with its interval, or only a comment if the scan does not determine the key."""
     span = f"{interval.low:.3f} to {interval.high:.3f}"
     if interval.high - interval.low > widest:
         return [f"# {key} is not determined by this scan: {span}."]

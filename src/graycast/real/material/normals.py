@@ -67,7 +67,7 @@ def smooth_normals(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Planes:
-    """The plane (n/d) of each window, and how well its pixels determine it."""
+    """The plane (n/d) in each window, and the precision with which its pixels determine it."""
 
     plane: Float[np.ndarray, "h w 3"]
     residual: Float[np.ndarray, "h w"]  # Root mean square of 1/z about the plane [1/m]

@@ -72,12 +72,12 @@ def observe(
     """Return the observations of the decoded pixels in a mask.
 
     Args:
-        depth_m: depth of each pixel; NaN without one.
+        depth_m: depth of each pixel; NaN where there is none.
         direct: the projector's direct light under a white picture [DN above offset]. It excludes
-            light that is reflected repeatedly, except where that light has stripes itself, as in
-            mirrors (see `camera.decode.separate`).
+            light that is reflected repeatedly, unless that light has stripes itself, as in mirrors
+            (see `camera.decode.separate`).
         mask: the pixels of one surface; None is all pixels.
-        exposure: the exposure of each pixel in units of a common one.
+        exposure: each pixel's exposure relative to a common exposure.
     """
     direct, shape = direct.astype(np.float64), direct.shape
     inside = np.ones(shape, dtype=bool) if mask is None else mask

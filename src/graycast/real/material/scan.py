@@ -77,10 +77,10 @@ def open_scan(path: Path, scanner: Scanner | None = None) -> MaterialScan:
 
     Args:
         path: a stack file, or a folder that holds a `stack.yaml`, such as `frames` of a scene.
-        scanner: its scanner; None takes the rig that the stack file names.
+        scanner: scanner of the stack; None takes the rig that the stack file names.
 
     Raises:
-        GraycastError: the stack cannot be decoded, or the rig is not that of the stack.
+        GraycastError: the stack cannot be decoded, or the rig does not belong to the stack.
     """
     stack = path / "stack.yaml" if path.is_dir() else path
     if scanner is None:
@@ -101,7 +101,7 @@ def open_scan(path: Path, scanner: Scanner | None = None) -> MaterialScan:
 
 
 def read_masks(paths: Sequence[Path]) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels that are inside any of some masks of one size.
+    """Return the union of masks that have the same size.
 
     Raises:
         GraycastError: a file is no mask, or the masks differ in size or have no pixel.
@@ -121,7 +121,7 @@ def read_masks(paths: Sequence[Path]) -> Bool[np.ndarray, "h w"]:
 
 
 def _exposure(stack: Path) -> Float[np.ndarray, "h w"] | float:
-    """Return each pixel's exposure relative to the longest; scenes of a dataset may have several.
+    """Return each pixel's exposure relative to the longest; a dataset's scene may have several.
 
     Raises:
         GraycastError: the scene's files are damaged.

@@ -1,7 +1,7 @@
-"""The light that surfaces are expected to reflect, and how well it explains observed light.
+"""The light that a surface should reflect, and the likelihood of the observed light.
 
 The model is the renderer's own BSDF. Its value at a pixel is the mean over the uncertain normal, so
-that noise of the normals is not taken for roughness.
+that noise of the normals is not mistaken for roughness.
 """
 
 import math
@@ -40,7 +40,7 @@ class SurfaceModel:
         self._nodes: dict[tuple[Kind, float], np.ndarray] = {}
 
     def nodes(self, kind: Kind, roughness: float) -> Float[np.ndarray, "colors 2 n"]:
-        """Return mean and variance over the normals at the nodes of base colour."""
+        """Return the BSDF's mean and variance over the normals, at each node of base colour."""
         key = kind, roughness
         if key not in self._nodes:
             reflected = _reflected_share()
@@ -87,7 +87,7 @@ def _log_above(off: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 
 
 def color_weights(color: float) -> Float[np.ndarray, " colors"]:
-    """Return the weights of the nodes in the polynomial through all of them, at a base colour."""
+    """Return each node's weight, at a base colour, in the polynomial through all nodes."""
     return np.array([math.prod((color - b) / (a - b) for b in COLORS if b != a) for a in COLORS])
 
 
@@ -119,7 +119,7 @@ def _tilted(own: Reflections) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarra
 
 @lru_cache
 def _reflected_share() -> Callable[..., Float[np.ndarray, " n"]]:
-    """Return the renderer's BSDF as a function, after its device was opened."""
+    """Open the renderer's device, and return its BSDF as a function."""
     from ...rendering.device import choose_device, open_device
 
     open_device(choose_device("cpu"))

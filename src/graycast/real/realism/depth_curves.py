@@ -1,4 +1,4 @@
-"""The curves behind the table, of one set of depth maps or of several on top of each other."""
+"""Plots of the table's curves, for one set of depth maps or for several sets together."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -96,7 +96,7 @@ def _draw_jumps(ax: Axes, records: Sequence[Realism]) -> None:
 
 
 def _curve(bins: list[BinRecord], factor: float, least: int = 1) -> tuple[list[float], list[float]]:
-    """Return middles of the octaves and values; a bin below the first octave is put before it."""
+    """Return the middle and the value of each known bin; a bin from 0 has the arithmetic mean."""
     known = [b for b in bins if b.value is not None and b.count >= least]
     middle = [(b.low * b.high) ** 0.5 if b.low > 0 else b.high / 2 for b in known]
     return middle, [factor * b.value for b in known if b.value is not None]

@@ -1,4 +1,4 @@
-"""Depth maps one after another, from files and from the scene folders of BOP datasets."""
+"""Reading of depth maps, one by one, from files and from the scene folders of BOP datasets."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
@@ -40,19 +40,19 @@ def read_scans(
     reason: Sequence[Path] = (),
     reason_names: Mapping[int, str] | None = None,
 ) -> Iterator[DepthScan]:
-    """Yield depth maps; each is read only when it is needed.
+    """Yield depth maps; each map is read only when it is needed.
 
     Args:
-        paths: depth files, folders of them (taken in the order of their names), and BOP datasets or
-            scene folders, which bring their own intrinsics, scale, pictures and reasons.
-        options: what depth files do not say.
-        gray: a picture per depth file in the same order, or none, or folders of them. 8- and 16-bit
-            ones are taken as shares of their type's range, colours are averaged.
-        reason: an 8-bit image per depth file in the same order, or none, or folders of them.
-        reason_names: what its numbers mean.
+        paths: depth files, folders of depth files (read in the order of names), and BOP datasets or
+            scene folders, which contain their own intrinsics, scale, pictures and reasons.
+        options: facts that depth files do not state.
+        gray: a picture per depth file in the same order, or none, or folders of pictures. 8 and 16
+            bits become shares of the type's range, colours are averaged.
+        reason: an 8-bit image per depth file in the same order, or none, or folders of images.
+        reason_names: meaning of each number in the reason images.
 
     Raises:
-        DatasetError: a file is missing, damaged or of another form, or something is not given.
+        DatasetError: a file is missing, damaged or of another form, or an option is missing.
     """
     files: list[Path] = []
     for path in paths:
@@ -81,7 +81,7 @@ def read_scans(
 
 
 def _pictures(paths: Sequence[Path]) -> list[Path]:
-    """Return the given files, and the files in the given folders sorted by name."""
+    """Return the given files, and the files of the given folders in the order of names."""
     files = []
     for path in paths:
         inside = visible_entries(path) if path.is_dir() else [path]
@@ -92,7 +92,7 @@ def _pictures(paths: Sequence[Path]) -> list[Path]:
 
 
 def _scenes(path: Path) -> list[Path]:
-    """Scene folders at, in, or two levels below a folder."""
+    """Return the scene folders: the folder itself, those in it, or those two levels below."""
     for pattern in (".", "*", "*/*"):
         if scenes := sorted({f.parent for f in path.glob(f"{pattern}/scene_camera*.json")}):
             return scenes
@@ -100,7 +100,7 @@ def _scenes(path: Path) -> list[Path]:
 
 
 def _read_scene(scene: Path) -> Iterator[DepthScan]:
-    """Yield all images of a scene folder: the scanner's if it has any, else the colour camera's."""
+    """Yield all images of a scene folder: the scanner's if there are any, else the camera's."""
     files = SceneFolder(scene)
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
     views = _record(files, f"scene_camera{suffix}", AnyView)
@@ -132,7 +132,7 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
 
 
 def _find(files: SceneFolder, kind: str, number: int) -> Path | None:
-    """Return the path of a scene's picture; None if it does not exist."""
+    """Return the path of a scene's picture; None if the picture does not exist."""
     try:
         return files.find_picture(kind, number)
     except Unreadable as error:
@@ -140,7 +140,7 @@ def _find(files: SceneFolder, kind: str, number: int) -> Path | None:
 
 
 def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:
-    """Return the entries of a file of the scene, by image."""
+    """Return the entries of a scene's JSON file, by image number."""
     try:
         return files.record(name, Images[form])  # type: ignore[valid-type]
     except Unreadable as error:
@@ -150,7 +150,7 @@ def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:
 
 
 def _baseline_m(scene: Path) -> float | None:
-    """Return the baseline of the rig of a dataset that Graycast made; None for any other."""
+    """Return the baseline of the rig of a Graycast dataset; None for any other dataset."""
     claim = scene.parent.parent / "graycast.json"
     if not claim.is_file():
         return None

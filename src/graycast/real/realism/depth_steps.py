@@ -1,4 +1,4 @@
-"""Depth steps: neighbours on two surfaces, and pixels that hang in the air between them."""
+"""Depth steps: neighbours on two surfaces, and flying pixels in the air between the surfaces."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _MARGIN = 0.25  # A flyer differs from surfaces and neighbours by this share of 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepCounts:
-    """Numbers of steps and flying pixels in a map; those of several maps can be added."""
+    """Numbers of steps and flying pixels in a map, which can be added over maps."""
 
     right_farther: int
     left_farther: int
@@ -29,13 +29,13 @@ class StepCounts:
 def count_steps(scan: DepthScan) -> StepCounts:
     """Count jumps between valid pixels by direction, and flying pixels.
 
-    Two pixels on either side of a step, along a row or a column, make a surface each; they are
-    continued to the step along straight lines in 1/z, which is exact for planes however steep, and
-    a jump is where they miss each other there. A jump has no missing pixel in it, but may have one
-    flyer. A pixel is at a step where the surfaces next but one to it on either side miss each other
-    at it; one gap among these seven is skipped, so the rims of a shadow are a step. It flies
-    where it lies between the two, off each of them and off both of its neighbours by a quarter of a
-    jump. A surface one pixel wide looks the same; of flyers several pixels deep some are missed.
+    On either side of a possible step, along a row or a column, two pixels define a line in 1/z,
+    which is exact for planes however steep. There is a jump if the two lines, extended to the step,
+    miss each other. A jump has no missing pixel in it, but may have one flying pixel. A pixel is at
+    a step if the lines of the pixels next but one on either side miss each other at the pixel; one
+    gap among these seven pixels is skipped, so the rims of a shadow are a step. The pixel flies if
+    it is between both lines, and away from both and from its two neighbours by a quarter of a jump.
+    A surface one pixel wide looks the same; some flying pixels in wider groups are missed.
     """
     inverse = 1.0 / scan.depth_m.astype(np.float64)
     right, left = _jumps(inverse, scan.jump_share)
@@ -53,7 +53,7 @@ def count_steps(scan: DepthScan) -> StepCounts:
 
 
 def _jumps(inverse: Float[np.ndarray, "h w"], share: float) -> tuple[int, int]:
-    """Return jumps along rows of 1/z: those that are farther on the right, and on the left."""
+    """Count the jumps along rows of 1/z that are farther on the right, and on the left."""
     right = left = 0
     for between in (0, 1):  # flyers
         length = 4 + between
@@ -76,7 +76,7 @@ def _jumps(inverse: Float[np.ndarray, "h w"], share: float) -> tuple[int, int]:
 def flying_pixels(
     inverse: Float[np.ndarray, "h w"], share: float
 ) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Return the pixels at a step of 1/z along their row, and the flying pixels among them."""
+    """Return masks of the pixels at a step of 1/z along their row, and of the flying pixels."""
     row, column = np.nonzero(~np.isnan(inverse))
     at_image = np.zeros(inverse.shape, dtype=bool)
     flying_image = np.zeros(inverse.shape, dtype=bool)

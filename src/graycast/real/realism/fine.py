@@ -1,11 +1,11 @@
-"""Fine noise: by second differences within a map, and between two maps of one place.
+"""Fine noise from second differences within a map, and from differences of two maps.
 
-The second difference along both directions at once is blind to planes and to surfaces that bend
-along rows or columns alone, so tiles of 8 x 8 pixels serve almost everywhere that is smooth: most
-patches that a plane fit refuses as bent have their noise measured here. What a scanner's smoothing
-correlates is lost to a difference of neighbours: this is the noise of the finest scale, scaled so
-that white noise comes out as it is. Where two maps show the same surface even the shape cancels,
-and the whole of the noise that is not common to both is left.
+The second difference along both directions at once is 0 for planes and for surfaces that bend
+along rows or columns only, so tiles of 8 x 8 pixels can be used on almost all smooth surfaces, even
+on most patches that a plane fit refuses as bent. A difference of neighbours removes noise that the
+scanner's smoothing has correlated: the result is the noise of the finest scale, scaled so that
+white noise keeps its standard deviation. In the difference of two maps of the same surface, the
+shape cancels, and all noise remains that is not common to both maps.
 
 Source: Immerkaer, "Fast noise variance estimation", CVIU 64 (1996), for the operator.
 """
@@ -50,7 +50,7 @@ class FineNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairNoise:
-    """Noise of the places that two maps share."""
+    """Noise at the pixels where two maps show the same surface."""
 
     pixels: int
     sigma_m: float
@@ -59,7 +59,7 @@ class PairNoise:
 
 
 def measure_fine(scan: DepthScan) -> FineNoise:
-    """Return the noise of every tile that is smooth, its incidence and brightness."""
+    """Return the noise, incidence and brightness of every smooth tile."""
     z_m = tiles(scan.depth_m.astype(np.float64), TILE_PX)
     mixed = second_difference(z_m).reshape(len(z_m), (TILE_PX - 2) ** 2)
     known = ~np.isnan(mixed)
@@ -85,7 +85,7 @@ def measure_fine(scan: DepthScan) -> FineNoise:
 
 
 def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
-    """Return the figures of many maps, tiles put together."""
+    """Return the figures for the tiles of all maps together."""
     variance = np.concatenate([m.variance_m2 for m in maps])
     incidence_deg = np.degrees(np.concatenate([m.incidence_rad for m in maps]))
     brightness = np.concatenate([m.brightness for m in maps])
@@ -112,8 +112,8 @@ def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
 def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
     """Measure the noise between two maps where they show the same surface; else return None.
 
-    The difference of both loses what is common to them, shape and the fixed part of the error
-    alike; its standard deviation over the root of 2 is that of one map.
+    In the difference of the maps, everything common cancels: shape and fixed errors. Its standard
+    deviation divided by the root of 2 is that of one map.
     """
     same_camera = first.depth_m.shape == second.depth_m.shape and np.allclose(first.K, second.K)
     if not same_camera:
@@ -155,10 +155,10 @@ def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
 
 @cache
 def median_over_mean() -> float:
-    """Return median over mean of a tile's mean square difference, in white noise.
+    """Return the ratio of median to mean of a tile's mean square difference in white noise.
 
-    Differences of neighbours share pixels, so the sum of their squares is no chi-square; it is
-    taken as a shifted one of its own mean, variance and skewness.
+    Neighbouring differences share pixels, so the sum of their squares does not follow chi-square;
+    the approximation is a shifted chi-square with the same mean, variance and skewness.
 
     Source: Liu, Tang & Zhang, Computational Statistics & Data Analysis 53 (2009), central case.
     """
@@ -179,7 +179,7 @@ def median_over_mean() -> float:
 def _incidence_rad(
     scan: DepthScan, z_m: Float[np.ndarray, "n t t"], number: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the angle between each tile's plane and the camera's ray; tiles count row by row.
+    """Return the angle between each tile's normal and the camera's ray; tiles count row by row.
 
     With `1/z = g . (x, y, 1)`, where g is the plane in pixels, its normal is along K^T g; the ray
     is K^-1 (x, y, 1).
@@ -226,7 +226,7 @@ def _median_m(variance: Float[np.ndarray, " n"]) -> float | None:
 
 
 def _interval_m(variance: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
-    """Return the 95 % interval of the median, by order statistics; None for fewer than 6 values."""
+    """Return the median's 95 % interval from order statistics; None for fewer than 6 values."""
     n = len(variance)
     if n < 6:
         return None
@@ -240,7 +240,7 @@ def _interval_m(variance: Float[np.ndarray, " n"]) -> tuple[float, float] | None
 
 
 def _without_drift(difference: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Subtract the median of blocks of 32 pixels, because slow drift is not noise."""
+    """Subtract the median of each block of 32 x 32 pixels, because slow drift is not noise."""
     rest = np.full(difference.shape, np.nan)
     for y in range(0, difference.shape[0], 32):
         for x in range(0, difference.shape[1], 32):
@@ -252,7 +252,7 @@ def _without_drift(difference: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h
 
 
 def _lag(rest: Float[np.ndarray, "h w"], lag: int) -> float:
-    """Return the correlation at a distance along the rows."""
+    """Return the correlation of pixels at a distance along the rows."""
     a, b = rest[:, :-lag], rest[:, lag:]
     both = ~np.isnan(a) & ~np.isnan(b)
     power = np.sqrt((a[both] ** 2).mean() * (b[both] ** 2).mean()) if both.any() else 0.0

@@ -1,9 +1,9 @@
 """Estimate of the baseline from the widths of shadows.
 
-The projector's ray that grazes a near edge N goes on to the far surface at F; what lies between
-them in the picture is seen, but not lit. With the projector at (b, 0, t) in the camera frame the
-three points are in one line, and for x' = x / z of N and F (Lanman and Taubin's light planes, cut
-with a row of the picture)
+The projector's ray that grazes a near edge N continues to the far surface at F; the camera sees the
+pixels between N and F, but they are not lit. With the projector at (b, 0, t) in the camera frame,
+the three points are on one line, and for x' = x / z of N and F (Lanman and Taubin's light planes,
+intersected with a row of the picture)
 
     x'_n - x'_f = b (1/z_n - 1/z_f) - t (x'_f / z_n - x'_n / z_f)
 
@@ -50,16 +50,16 @@ class Gaps:
 
     @property
     def step(self) -> Float[np.ndarray, " n"]:
-        """1/z_near - 1/z_far [1/m]."""
+        """Difference of inverse depths 1/z_near - 1/z_far [1/m]."""
         return 1 / self.near_m - 1 / self.far_m
 
     @property
     def baseline_m(self) -> Float[np.ndarray, " n"]:
-        """b of each gap for t = 0, negative where the near rim is on the left (or above)."""
+        """Baseline b from each gap if t = 0; negative if the near rim is on the left (or above)."""
         return (self.near - self.far) / self.step
 
     def shadow(self, across_m: float, forward_m: float) -> Float[np.ndarray, " n"]:
-        """x'_n - x'_f for a projector at (across, 0, forward)."""
+        """Return x'_n - x'_f for a projector at (across, 0, forward)."""
         return across_m * self.step - forward_m * (self.far / self.near_m - self.near / self.far_m)
 
     def only(self, which: Bool[np.ndarray, " n"]) -> "Gaps":
@@ -67,11 +67,11 @@ class Gaps:
 
 
 def find_gaps(scan: DepthScan) -> tuple[Gaps, Gaps]:
-    """Clean shadows along the rows and along the columns.
+    """Return the clean shadows along the rows and along the columns.
 
-    A gap is clean if it is at least 4 pixels wide, if three pixels on either side lie each on one
-    surface, a jump apart, and if its near rim goes on through five rows. Specks of depth in it are
-    overlooked.
+    A gap is clean if it is at least 4 pixels wide, if the three pixels on each side are on one
+    surface, if these surfaces are a jump apart, and if the near rim continues over five rows.
+    Specks of depth in the gap are ignored.
     """
     depth_m = np.where(small_islands(scan.valid) > 0, np.nan, scan.depth_m)
     K = scan.K
@@ -82,14 +82,14 @@ def find_gaps(scan: DepthScan) -> tuple[Gaps, Gaps]:
 def estimate_baseline(
     along_rows: Sequence[Gaps], along_columns: Sequence[Gaps], known_m: float | None
 ) -> Baseline | None:
-    """Estimate the baseline on which most gaps agree, of two directions; None if few agree.
+    """Estimate the baseline on which most gaps agree, along rows or columns; None if few agree.
 
-    The most frequent estimate of single gaps tells the side; a robust fit of b, t and of what the
-    scanner's filters take off the rims is made to the gaps that agree with it. All gaps at one edge
-    count as one, so that a long wall does not speak for all. How far the projector stands before
-    the camera shows only weakly in the gaps. So t is held near what it is where both are turned
-    alike to look at one point in the middle distance z, b^2 / 2z, with half of that for its
-    standard deviation: a projector straight beside the camera, t = 0, is two of them away.
+    The most frequent estimate of single gaps gives the side; b, t and the pixels that the scanner's
+    filters remove at the rims are fitted robustly to the gaps that agree with the estimate. All
+    gaps at one edge count as one, so that a long wall does not dominate. The gaps determine t only
+    weakly. So t is kept near b^2 / 2z, its value if camera and projector are turned equally to a
+    point in the middle distance z, with half of that as standard deviation: a projector straight
+    beside the camera, t = 0, is two standard deviations away.
     """
     both = (
         _agreed(_joined(along_rows), ("left", "right"), known_m),
@@ -129,7 +129,7 @@ def _agreed(gaps: Gaps, sides: tuple[str, str], known_m: float | None) -> Baseli
 
 
 def _mode(estimate_m: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float:
-    """Return the estimate with most others of its sign within 10 %, the middle one of equals."""
+    """Return the estimate with most others of its sign within 10 %; of equals, the middle one."""
     best, most = 0.0, 0.0
     for sign in (-1, 1):
         order = np.argsort(sign * estimate_m)
@@ -145,7 +145,7 @@ def _mode(estimate_m: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) 
 
 
 def _solve(gaps: Gaps, start_m: float) -> tuple[float, float, float, float]:
-    """Solve for b and t [m], the excess width of gaps [px], and the length's error [m]."""
+    """Fit b and t [m], and the excess width of gaps [px]; return also the length's error [m]."""
     side, share = np.sign(start_m), np.sqrt(gaps.weight) / _EDGE_PX
     middle_m = float(np.median((gaps.near_m + gaps.far_m) / 2))
     usual_m = start_m**2 / (2 * middle_m)
@@ -165,7 +165,7 @@ def _solve(gaps: Gaps, start_m: float) -> tuple[float, float, float, float]:
 
 
 def _softened(rest: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Residuals whose squares grow like |rest| where it is large: sqrt(2 (sqrt(1 + r^2) - 1))."""
+    """Return residuals whose squares grow like |r| for large r: sqrt(2 (sqrt(1 + r^2) - 1))."""
     return rest * np.sqrt(2 / (1 + np.sqrt(1 + rest**2)))
 
 
@@ -202,8 +202,8 @@ def _rows_of_edges(
 ) -> Int[np.ndarray, " n"]:
     """Count the rows over which the near rim of each gap continues.
 
-    It may step by 3 px from row to row, and be torn over 10 rows: where noise does that, its pieces
-    would else count as many edges.
+    The rim may step by 3 px from row to row and have gaps of 10 rows; otherwise, pieces of a rim
+    that noise has torn would count as separate edges.
     """
     rim = np.zeros(shape, dtype=bool)
     rim[y, x] = True
@@ -219,7 +219,7 @@ def _smooth_rims(
     right: Int[np.ndarray, " n"],
     jump_share: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether gaps have one surface on each side, and not the border of the image."""
+    """Return a mask of the gaps that have one surface, not the image's border, on each side."""
     last = depth_m.shape[1] - 1
     smooth = (left >= _RIM_PX - 1) & (right <= last - (_RIM_PX - 1))
     for rim, away in ((left, -1), (right, 1)):

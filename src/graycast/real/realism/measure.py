@@ -1,4 +1,4 @@
-"""A depth map into counts and samples, and those of many maps into one record."""
+"""Measurement of depth maps as counts and samples, and the record of many maps."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _LEAST_PATCHES = 10  # Fewer patches do not determine an autocorrelation.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """Contribution of one map to the record of a set."""
+    """Counts and samples of one map for the record of a set."""
 
     median_depth_m: float  # NaN if no pixel is valid
     known_baseline_m: float | None
@@ -33,7 +33,7 @@ class Measurement:
 
 
 def measure_all(scans: Iterable[DepthScan]) -> Iterator[Measurement]:
-    """Yield the measurement of each map and of its pair with the one before it."""
+    """Yield the measurement of each map, which includes the pair with the previous map."""
     before: DepthScan | None = None
     for scan in scans:
         yield measure_scan(scan, before=before)
@@ -41,7 +41,7 @@ def measure_all(scans: Iterable[DepthScan]) -> Iterator[Measurement]:
 
 
 def measure_scan(scan: DepthScan, *, before: DepthScan | None = None) -> Measurement:
-    """Everything that is counted in one depth map, and against the one `before` it."""
+    """Measure one depth map, and its pair with the map `before` it."""
     depth_m = scan.depth_m[scan.valid]
     return Measurement(
         median_depth_m=float(np.median(depth_m)) if depth_m.size else float("nan"),
@@ -56,7 +56,7 @@ def measure_scan(scan: DepthScan, *, before: DepthScan | None = None) -> Measure
 
 
 def pool(measurements: Iterable[Measurement], *, name: str) -> Realism:
-    """Combine measurements into the record of a set: add counts, and join samples.
+    """Combine measurements into the record of a set by adding counts and joining samples.
 
     Raises:
         GraycastError: there is no map in the set.

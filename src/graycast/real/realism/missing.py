@@ -1,4 +1,4 @@
-"""Pixels without depth: how many, how dark, why, and the small groups among them."""
+"""Pixels without depth: their number, brightness, reasons, and small groups."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _NEIGHBOURS = np.ones((3, 3), dtype=int)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissingCounts:
-    """Counts of one map, which add up over maps."""
+    """Counts of one map, which can be added over maps."""
 
     pixels: int
     missing: int
@@ -53,10 +53,10 @@ def count_missing(scan: DepthScan) -> MissingCounts:
 
 
 def small_islands(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """Label the groups of at most `ISLAND_PX` pixels of a mask with 1, 2, ...; 0 elsewhere.
+    """Label groups of at most `ISLAND_PX` pixels of a mask with 1, 2, ...; 0 elsewhere.
 
-    Pixels that touch at a side or corner belong together; a group at the image's border goes on
-    beyond it and is none.
+    Pixels that touch at a side or corner belong together. A group at the image's border does not
+    count, because it may continue beyond the border.
     """
     label, count = ndimage.label(mask, structure=_NEIGHBOURS)
     size = np.bincount(label.ravel(), minlength=count + 1)
@@ -69,13 +69,13 @@ def small_islands(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
 
 
 def missing_among(valid: Bool[np.ndarray, "h w"], among: Bool[np.ndarray, "h w"]) -> float:
-    """Return the missing share of the pixels whose four neighbours are all in a mask."""
+    """Return the share without depth of the pixels whose four neighbours are all in a mask."""
     ring = among[1:-1, :-2] & among[1:-1, 2:] & among[:-2, 1:-1] & among[2:, 1:-1]
     return float((ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1))
 
 
 def summarise_missing(counts: Sequence[MissingCounts]) -> Missing:
-    """Return shares over all maps together; brightness from those that have a picture."""
+    """Return shares of the pixels of all maps; by brightness, only of maps with a picture."""
     pixels = sum(c.pixels for c in counts)
     lit = [c for c in counts if c.total_at is not None]
     by_brightness, drop_out = [], None
@@ -120,12 +120,12 @@ def _by_size(sizes_px: Int[np.ndarray, " n"], maps: int) -> dict[str, float]:
 def drop_out_step(
     total_at: Int[np.ndarray, " levels"], missing_at: Int[np.ndarray, " levels"]
 ) -> DropOut | None:
-    """Find the step from dark to bright at which the missing share falls; None without one.
+    """Find the brightness step at which the missing share falls; None if there is no step.
 
     The step is the most likely place of a change between two constant shares (maximum likelihood
-    of two binomials); how wide it is, is read from the share made falling by isotonic regression.
-    Saturated pixels are left out. Shadows are dark, too: where a scene has many of them, the share
-    below the step is theirs as much as the drop-out's.
+    of two binomials); its width comes from a falling share fitted by isotonic regression. Saturated
+    pixels are left out. Shadows are dark, too: in scenes with many shadows, they contribute as much
+    to the share below the step as the drop-out.
     """
     end = int(BRIGHTNESS_EDGES[-2] * LEVELS)
     level = np.flatnonzero(total_at[:end])
@@ -152,7 +152,7 @@ def drop_out_step(
 def _binomial(
     total: Float[np.ndarray, " n"], missing: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the greatest log likelihood of a constant share."""
+    """Return the highest log likelihood that a constant share can have."""
     share = np.clip(missing / total, 1e-12, 1 - 1e-12)
     return missing * np.log(share) + (total - missing) * np.log1p(-share)
 
@@ -160,7 +160,7 @@ def _binomial(
 def _crossing(
     level: Float[np.ndarray, " n"], falling: Float[np.ndarray, " n"], value: float
 ) -> float:
-    """Return the middle between the last level above the value and the first below."""
+    """Return the middle between the last level above the value and the first level below."""
     after = int(np.argmax(falling <= value))
     return float((level[max(after - 1, 0)] + level[after]) / 2)
 
@@ -181,7 +181,7 @@ def _by_brightness(
 
 
 def _reasons(scan: DepthScan) -> dict[str, int]:
-    """Missing pixels per reason; a number without a name keeps its number."""
+    """Count the missing pixels per reason; a reason without a name keeps its number."""
     if scan.reason is None:
         return {}
     number, count = np.unique(scan.reason[~scan.valid], return_counts=True)

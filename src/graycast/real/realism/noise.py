@@ -1,10 +1,10 @@
-"""Noise of depth about planes in small patches: how much, and how correlated.
+"""Noise of depth about planes in small patches: standard deviation and autocorrelation.
 
-The inverse depth of a plane is affine in the pixel, exactly, and the triangulation's noise is
-nearly even in it; so planes are fitted to 1/z by least squares, and a residual is carried to z by
-dz = z^2 d(1/z). A fit takes part of the noise with it. Both the variance and the autocorrelation
-are corrected for that under one assumption: noise is not correlated over more than `REACH_PX`
-pixels along rows or columns.
+The inverse depth of a plane is exactly affine in the pixel, and triangulation noise is nearly
+uniform in inverse depth; so planes are fitted to 1/z by least squares, and residuals are converted
+to z by dz = z^2 d(1/z). A fit absorbs part of the noise. Variance and autocorrelation are corrected
+for that under one assumption: noise is not correlated over more than `REACH_PX` pixels along rows
+or columns.
 """
 
 from dataclasses import dataclass
@@ -48,12 +48,12 @@ class PatchNoise:
 
 
 def measure_noise(scan: DepthScan) -> PatchNoise:
-    """Fit planes to all patches of a map that have hardly a hole, and keep those that are flat.
+    """Fit planes to the patches of a map with few holes, and keep the flat patches.
 
-    A patch is bent, and left out, where the terms of second to fifth degree of a fit take more of
-    the residuals than noise of the map's own autocorrelation gives them in one patch of a thousand.
-    That autocorrelation is of what the full fit leaves, first in the half of the patches that bends
-    least, then in the flat ones. So no patch is judged by how much noise it has.
+    A patch is bent, and left out, if the terms of second to fifth degree of a fit absorb more of
+    the residuals than noise with the map's own autocorrelation would cause in one of 1000 patches.
+    The autocorrelation comes from the residuals of the full fit, first in the half of the patches
+    that bends least, then in the flat patches. So the amount of noise does not decide.
     """
     inverse = tiles(1.0 / scan.depth_m, PATCH_PX).reshape(-1, PATCH_PX**2).astype(np.float64)
     inverse = inverse[(~np.isnan(inverse)).mean(axis=1) >= _LEAST_VALID]
@@ -81,7 +81,7 @@ def autocorrelation(
     """Return the noise's autocorrelation at `LAGS` from the mean products of a fit's residuals.
 
     The residuals of noise n are r = M n with M = 1 - H, so their covariance is M C M: the mean
-    products are linear in the lags of C, and as many as these.
+    products are linear in the lags of C, and there are as many products as lags.
     """
     covariance = np.linalg.solve(_lag_matrix(terms), products)
     return covariance / covariance[0]
@@ -104,7 +104,7 @@ class _Fit:
 
 
 def _fit(inverse: Float[np.ndarray, "n pixels"]) -> _Fit:
-    """Planes and full fits, twice more without the pixels that the full fit leaves far out."""
+    """Fit planes and full polynomials; repeat twice without the outliers of the full fit."""
     valid = ~np.isnan(inverse)
     value = np.where(valid, inverse, 0.0)
     used = valid
@@ -132,7 +132,7 @@ def _least_squares(
     used: Bool[np.ndarray, "n pixels"],
     basis: Float[np.ndarray, "pixels terms"],
 ) -> tuple[Float[np.ndarray, "n terms"], Float[np.ndarray, "n pixels"]]:
-    """Coefficients over the used pixels of each patch, and the residuals of all its pixels."""
+    """Fit the used pixels of each patch; return coefficients, and residuals of all pixels."""
     terms = basis.shape[1]
     squares = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
     normal = (used.astype(float) @ squares).reshape(-1, terms, terms)
@@ -144,7 +144,7 @@ def _least_squares(
 
 @cache
 def _basis() -> Float[np.ndarray, "pixels terms"]:
-    """Orthonormal polynomials of a patch: a constant, x, y, then up to `_DEGREE`."""
+    """Return a patch's orthonormal polynomials: a constant, x, y, then up to `_DEGREE`."""
     t = np.arange(PATCH_PX) - (PATCH_PX - 1) / 2
     x, y = (c.ravel() for c in np.meshgrid(t, t))
     powers = [(d - j, j) for d in range(_DEGREE + 1) for j in range(d + 1)]
@@ -153,7 +153,7 @@ def _basis() -> Float[np.ndarray, "pixels terms"]:
 
 
 def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " lags"]]:
-    """Return which patches are planes, and the noise's autocorrelation."""
+    """Return a mask of the patches that are planes, and the noise's autocorrelation."""
     smooth = (fit.outliers <= _MOST_OUTLIERS * PATCH_PX**2) & (fit.rest_power > 0)
     bend = (fit.plane_power - fit.rest_power) / np.where(smooth, fit.rest_power, np.nan)
     flat = smooth & (bend <= (np.median(bend[smooth]) if smooth.any() else 0.0))
@@ -168,10 +168,10 @@ def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " lags"]
 
 
 def _most_bend(correlation: Float[np.ndarray, " lags"]) -> float:
-    """The bend, as a share of the full fit's residual power, that noise alone hardly exceeds.
+    """Return the bend that noise hardly exceeds, as a share of the full fit's residual power.
 
     The bending terms' power is a sum of chi-squares with the eigenvalues of their covariance as
-    weights, taken as one chi-square of equal mean and variance (Satterthwaite).
+    weights, approximated by one chi-square of equal mean and variance (Satterthwaite).
     """
     bending = _coefficient_covariance(correlation)[_PLANE:, _PLANE:]
     weight = np.linalg.eigvalsh(bending).clip(min=0)
@@ -181,7 +181,7 @@ def _most_bend(correlation: Float[np.ndarray, " lags"]) -> float:
 
 
 def _fit_loss(correlation: Float[np.ndarray, " lags"], terms: int) -> float:
-    """Return the noise variance that a fit removes, in pixels: 3 for a plane in white noise."""
+    """Return the noise variance that a fit absorbs, in pixels: 3 for a plane in white noise."""
     return float(np.trace(_coefficient_covariance(correlation)[:terms, :terms]))
 
 
@@ -202,7 +202,7 @@ def _lags_in_basis() -> Float[np.ndarray, "lags terms terms"]:
 
 @cache
 def _lag_indicators() -> Float[np.ndarray, "lags pixels pixels"]:
-    """Per lag, 1 for the pairs of pixels of a patch that lie so to each other, both ways round."""
+    """Return, per lag, 1 for each pair of a patch's pixels at that lag, in either order."""
     y, x = np.divmod(np.arange(PATCH_PX**2), PATCH_PX)
     dx, dy = x[None, :] - x[:, None], y[None, :] - y[:, None]
     return np.stack([((dx == a) & (dy == b)) | ((dx == -a) & (dy == -b)) for a, b in LAGS]).astype(
@@ -212,10 +212,10 @@ def _lag_indicators() -> Float[np.ndarray, "lags pixels pixels"]:
 
 @cache
 def _lag_matrix(terms: int) -> Float[np.ndarray, "lags lags"]:
-    """Expected mean products at each lag (rows) for unit covariance at each lag (columns).
+    """Return the expected mean products at each lag (rows) for unit covariance at each (columns).
 
-    With H = B B^T the sum of E_k (1 - H) E_l (1 - H) over all pixels is taken apart into products
-    of E B and B^T E B, which are small.
+    With H = B B^T, the sum of E_k (1 - H) E_l (1 - H) over all pixels is split into products of E B
+    and B^T E B, which are small.
     """
     indicator, basis = _lag_indicators(), _basis()[:, :terms]
     through = (indicator @ basis).reshape(len(LAGS), -1)
@@ -226,8 +226,8 @@ def _lag_matrix(terms: int) -> Float[np.ndarray, "lags lags"]:
 
 
 def _lag_products(rest: Float[np.ndarray, "n pixels"]) -> Float[np.ndarray, " lags"]:
-    """Sums over patches of the mean product of residuals at `LAGS`, each patch brought to unit
-    power: a noisy patch counts no more than a quiet one."""
+    """Return sums over patches of the mean product of residuals at `LAGS`, each patch scaled to
+    unit power, so that noisy and quiet patches count equally."""
     power = (rest**2).mean(axis=1, keepdims=True)
     r = (rest / np.sqrt(power)).reshape(-1, PATCH_PX, PATCH_PX)
     sums = []

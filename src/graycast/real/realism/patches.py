@@ -1,11 +1,11 @@
-"""Squares cut from depth maps, and what is measured in each: the sensor's doing apart from shape.
+"""Squares cut from depth maps, and features of each square that show the sensor, not the shape.
 
-Second differences along both directions at once, `[1 -2 1] x [1 -2 1]`, are blind to planes and to
-every surface that bends along rows or along columns alone, so that what is left of a smooth surface
-is noise (Immerkaer, "Fast noise variance estimation", CVIU 64, 1996). Third differences along one
-direction tell how the noise is correlated there.
+Second differences along both directions at once, `[1 -2 1] x [1 -2 1]`, are 0 for planes and for
+every surface that bends along rows or along columns only, so that only noise remains of a smooth
+surface (Immerkaer, "Fast noise variance estimation", CVIU 64, 1996). Third differences along one
+direction show the correlation of the noise in that direction.
 
-Leaves out: colour; what needs more than one map.
+Leaves out: colour; properties that need more than one map.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ PARABOLOID = np.stack([_X**0, _X, _Y, _X * _X, _X * _Y, _Y * _Y], axis=-1)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Squares:
-    """Squares of several maps: their features, the map of each, and where in it they are."""
+    """Squares of several maps: features, number of the map, and place in the map."""
 
     feature: Float[np.ndarray, "n features"]
     scan: Int[np.ndarray, " n"]
@@ -70,11 +70,11 @@ class Squares:
 
 
 def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
-    """Cut all squares of some maps that are smooth or of the floor.
+    """Cut all squares from some maps that show a smooth surface or the floor.
 
     Args:
-        step_m: depth is rounded to this step first, where it is above 0, so that two sets that are
-            compared are equally fine.
+        step_m: step to which depth is rounded first, so that two sets to compare are equally fine;
+            0 does not round.
     """
     depths = [scan.depth_m for scan in scans]
     if step_m > 0:
@@ -86,11 +86,11 @@ def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
 
 
 def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray, "3"] | None:
-    """Find the plane `1/z = g . (x, y, 1)`, x and y in pixels, on which most pixels are, if any.
+    """Find the plane `1/z = g . (x, y, 1)`, with x and y in pixels, that contains most pixels.
 
-    The camera stood still over the maps, so their pixels are taken together: what moves does not
-    make a plane. Random samples of three pixels, the best refined by least squares over what lies
-    near it.
+    The camera must not move between the maps, because their pixels are used together. The method
+    takes random samples of three pixels, and refines the best plane by least squares over the
+    pixels near it. The result is None if too few pixels are on a plane.
     """
     rng = np.random.default_rng(0)  # samples pixels; any seed finds the same floor
     samples = [_some_pixels(one, rng) for one in depth_m]
@@ -118,20 +118,20 @@ def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray,
 def depth_of_floor(
     floor: Float[np.ndarray, "3"], rows: slice, columns: slice
 ) -> Float[np.ndarray, "h w"]:
-    """Depth of the plane of `find_floor` in a rectangle; NaN where it is behind the camera."""
+    """Return the floor's depth in a rectangle; NaN where the plane is behind the camera."""
     row, column = np.mgrid[rows, columns]
     inverse = floor[0] * column + floor[1] * row + floor[2]
     return 1.0 / np.where(inverse > 0, inverse, np.nan)
 
 
 def second_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n h2 w2"]:
-    """`[1 -2 1] x [1 -2 1]` over 6: white noise keeps its standard deviation."""
+    """Return `[1 -2 1] x [1 -2 1]` over 6, so that white noise keeps its standard deviation."""
     along = z_m[..., :-2] - 2 * z_m[..., 1:-1] + z_m[..., 2:]
     return (along[..., :-2, :] - 2 * along[..., 1:-1, :] + along[..., 2:, :]) / 6
 
 
 def third_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n h w3"]:
-    """`[1 -3 3 -1]` along the rows over sqrt(20): white noise keeps its standard deviation."""
+    """Return `[1 -3 3 -1] / sqrt(20)` along rows: white noise keeps its standard deviation."""
     a, b, c, d = z_m[..., :-3], z_m[..., 1:-2], z_m[..., 2:-1], z_m[..., 3:]
     return (a - 3 * b + 3 * c - d) / np.sqrt(20)
 
@@ -139,7 +139,7 @@ def third_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n 
 def correlation(
     a: Float[np.ndarray, "*n a b"], b: Float[np.ndarray, "*n a b"]
 ) -> Float[np.ndarray, "*n"]:
-    """Return the correlation of each two arrays, clipped at 4 sigma; NaN below 30 pairs."""
+    """Return the correlation of each pair of arrays, clipped at 4 sigma; NaN below 30 values."""
     both = ~np.isnan(a) & ~np.isnan(b)
     enough = both.sum(axis=(-2, -1)) >= _LEAST_PAIRS
     pair = np.where(both, np.stack([a, b]), np.nan)[:, enough]
@@ -159,7 +159,7 @@ def correlation(
 def _some_pixels(
     depth_m: Float[np.ndarray, "h w"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Return (x, y, 1) and depth of the valid ones among `_SAMPLED` pixels."""
+    """Return (x, y, 1) and the depth of the valid pixels among `_SAMPLED` random pixels."""
     height, width = depth_m.shape
     y, x = rng.integers(0, height, _SAMPLED), rng.integers(0, width, _SAMPLED)
     known = ~np.isnan(depth_m[y, x])
@@ -170,7 +170,7 @@ def _some_pixels(
 def _near(
     pixel: Float[np.ndarray, "n 3"], z_m: Float[np.ndarray, " n"], g: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Return which pixels are within `_FLOOR_M` of a plane of inverse depth before the camera."""
+    """Return a mask of the pixels within `_FLOOR_M` of a plane in front of the camera."""
     inverse = pixel @ g
     return (inverse > 0) & (np.abs(1.0 / np.maximum(inverse, 1e-9) - z_m) < _FLOOR_M)
 
@@ -216,7 +216,7 @@ def _holds(
     valid: Bool[np.ndarray, "s s"],
     most_m: float,
 ) -> bool:
-    """Return whether all pixels except a few strays are near the model."""
+    """Return whether all valid pixels except a few outliers are near the model."""
     off = np.abs(model_m - z_m)[valid]
     return bool((off <= most_m).mean() >= 1 - _STRAY)
 

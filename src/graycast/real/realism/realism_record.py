@@ -15,7 +15,7 @@ class _Record(BaseModel):
 
 
 class BinRecord(_Record):
-    """Value between two limits of a quantity; brightness is a share of the range."""
+    """A value for a bin between two limits of a quantity; brightness is a share of the range."""
 
     low: float
     high: float
@@ -25,10 +25,10 @@ class BinRecord(_Record):
 
 
 class DropOut(_Record):
-    """The step of the missing share against brightness: dark pixels have no depth.
+    """The brightness step below which dark pixels have no depth.
 
-    `brightness` is where the missing share has fallen half way from `missing_below` to
-    `missing_above`, `first` and `last` where it has fallen by a quarter and by three quarters.
+    At `brightness`, the missing share has fallen half way from `missing_below` to `missing_above`,
+    at `first` by a quarter and at `last` by three quarters.
     """
 
     brightness: float
@@ -39,7 +39,7 @@ class DropOut(_Record):
 
 
 class Missing(_Record):
-    """Shares of all pixels."""
+    """Missing pixels as shares of all pixels."""
 
     share: float
     by_brightness: list[BinRecord]
@@ -50,9 +50,9 @@ class Missing(_Record):
 class Noise(_Record):
     """Standard deviation of z [m] about planes fitted to small patches.
 
-    `percentiles_m` has the 5th, 25th, 50th, 75th and 95th over the patches. `bent` is the share of
-    the `candidates`, patches with hardly a hole, that are no planes; `outliers` the share of pixels
-    beyond 5 sigma.
+    `percentiles_m` has the 5th, 25th, 50th, 75th and 95th percentile of the patches. `candidates`
+    are patches with few holes, `bent` is the share of them that are not planes, and `outliers` is
+    the share of pixels beyond 5 sigma.
     """
 
     patch_px: int
@@ -65,12 +65,12 @@ class Noise(_Record):
 
 
 class Fine(_Record):
-    """Noise [m] by second differences in small tiles: what neighbours do not share.
+    """Noise [m] from second differences in small tiles, without noise that neighbours share.
 
-    Scaled so that white noise has its own standard deviation; smoothed noise has less here.
-    `percentiles_m` as in `Noise`, over the tiles; `rough` is the share of tiles that are no smooth
-    surface. `dark_to_bright` is the noise of the darkest over that of the brightest bin,
-    `steep_to_facing` that at 40 to 50 over that at 0 to 10 degrees of incidence.
+    White noise keeps its standard deviation; smoothed noise has a lower value. `percentiles_m` is
+    as in `Noise`, but of the tiles; `rough` is the share of tiles without a smooth surface.
+    `dark_to_bright` is the noise of the darkest bin divided by that of the brightest bin, and
+    `steep_to_facing` the noise at 40 to 50 degrees of incidence divided by that at 0 to 10 degrees.
     """
 
     tile_px: int
@@ -84,9 +84,9 @@ class Fine(_Record):
 
 
 class Pairs(_Record):
-    """Noise [m] of one map, from each map and the next where both show the same surface.
+    """Noise [m] of one map, from successive maps where they show the same surface.
 
-    Its autocorrelation stands at 1, 2 and 3 pixels; none where no two maps share enough.
+    The autocorrelation is at 1, 2 and 3 pixels; None if no two maps share enough pixels.
     """
 
     pairs: int
@@ -105,7 +105,7 @@ class Autocorrelation(_Record):
 
 
 class Jumps(_Record):
-    """Neighbours that both have depth and lie on different surfaces, pairs per scan."""
+    """Number per scan of pairs of neighbours with depth on different surfaces."""
 
     right_farther: float  # the right pixel is farther than the left one
     left_farther: float
@@ -116,12 +116,12 @@ class Jumps(_Record):
 class Baseline(_Record):
     """The projector's place in the camera frame, from the widths of shadows.
 
-    `side` says where the projector stands in the image. `plain_m` is the most frequent value of
-    w / (f (1/z_near - 1/z_far)), right for a projector beside the camera, not before or behind it.
-    The fit gives the components `across_m` (towards `side`) and `forward_m` (along z), their length
-    `baseline_m` with its statistical error `error_m` (edges that drop out gradually, dark or
-    torn, add as much as 5 to 15 % to the length), and `eaten_px` that a gap is wider than its
-    shadow; what it assumes is in `gaps.py`.
+    `side` is the projector's side as seen in the image. `plain_m` is the most frequent value of
+    w / (f (1/z_near - 1/z_far)), which is right for a projector neither before nor behind the
+    camera. The fit gives the components `across_m` (towards `side`) and `forward_m` (along z),
+    their length `baseline_m` with its statistical error `error_m` (dark or torn edges may add 5 to
+    15 % to the length), and `eaten_px`, the width of a gap beyond that of its shadow. `gaps.py`
+    describes the assumptions.
     """
 
     side: str
@@ -138,16 +138,16 @@ class Baseline(_Record):
 
 
 class Steps(_Record):
-    """Valid pixels beside a step, per scan, and the share of them that fly between its sides."""
+    """Number of valid pixels at a step, per scan, and the share that fly between its two sides."""
 
     pixels: float
     flying: float | None
 
 
 class Islands(_Record):
-    """Connected groups of at most `largest_px` pixels; per scan, and as share of all pixels.
+    """Connected groups of at most `largest_px` pixels: number per scan, and share of all pixels.
 
-    `holes_by_size` and `specks_by_size` are per scan; their keys say how many pixels a group has.
+    `holes_by_size` and `specks_by_size` are per scan; their keys are sizes of groups in pixels.
     """
 
     largest_px: int
@@ -191,10 +191,10 @@ def write_record(record: Realism, path: Path) -> None:
 
 
 def read_record(path: Path) -> Realism:
-    """Read a record, from its file or from the folder that `graycast real measure` wrote.
+    """Read a record from its file, or from a folder that `graycast real measure` wrote.
 
     Raises:
-        DatasetError: it is not there, of another form or version.
+        DatasetError: the file is missing, or has another form or version.
     """
     file = path / RECORD_FILE if path.is_dir() else path
     try:

@@ -1,4 +1,4 @@
-"""A record as a table in plain text, alone or next to another."""
+"""Table of one record or of several, in plain text."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -10,7 +10,7 @@ _PERCENTILES = ("5 %", "25 %", "median", "75 %", "95 %")
 
 
 class Figure(NamedTuple):
-    """One line of the table; `text` has the value and its unit."""
+    """One line of the table; `text` contains the value and its unit."""
 
     section: str
     name: str
@@ -55,7 +55,7 @@ def figures(record: Realism) -> Iterator[Figure]:
 
 
 def table(*records: Realism) -> str:
-    """Return the figures of one record, or of several side by side, a column each."""
+    """Return a table of the figures, with a column for each record."""
     columns = [{(f.section, f.name): f.text for f in figures(r)} for r in records]
     keys = _merged([list(column) for column in columns])
     sections = list(dict.fromkeys(section for section, _ in keys))
@@ -151,7 +151,7 @@ def _bins(
     unit: str,
     show: Callable[[float | None], str],
 ) -> Iterator[Figure]:
-    """Yield a line per bin that has samples, their number in brackets."""
+    """Yield a line for each bin that has samples, with their number in brackets."""
     for one in bins:
         if one.count:
             limits = f"{factor * one.low:.3g} to {factor * one.high:.3g} {unit}"
@@ -160,7 +160,7 @@ def _bins(
 
 
 def _merged(lists: list[list[tuple[str, str]]]) -> list[tuple[str, str]]:
-    """Merge lists of keys; a key that only a later list has comes after its predecessor."""
+    """Merge lists of keys; a key that only a later list contains comes after its predecessor."""
     merged = list(lists[0])
     for keys in lists[1:]:
         at = 0

@@ -14,13 +14,13 @@ class DepthScan:
     """A depth map in the frame of its camera.
 
     Attributes:
-        depth_m: z of the camera frame [m], NaN where there is none.
+        depth_m: z in the camera frame [m]; NaN where there is none.
         K: pinhole intrinsics [px]; the centre of the top-left pixel is (0, 0). Distortion is
-            left out: give undistorted maps, or accept what the lens bends.
+            left out: give undistorted maps, or accept the lens's errors.
         gray: the brightness that the scanner saw, as a share of its range, 0 to 1.
-        reason: a number per pixel that says why there is no depth, and
-        reason_names: what the numbers mean; 0, or a name 'DECODED', is a pixel that has depth.
-        baseline_m: of the rig, if known; only shown beside the estimate.
+        reason: a number per pixel for the reason why there is no depth.
+        reason_names: name of each reason; 0, or the name 'DECODED', means that there is depth.
+        baseline_m: the rig's baseline, if known; it is only shown next to the estimate.
     """
 
     name: str
@@ -60,15 +60,15 @@ class DepthScan:
 
     @property
     def jump_share(self) -> float:
-        """The share of its depth by which a neighbour must differ to lie on another surface.
+        """Share of its depth by which a pixel on another surface must differ from its neighbour.
 
-        It is `JUMP_FOOTPRINTS` times the width of a pixel on a facing surface, z / f.
+        It is `JUMP_FOOTPRINTS` times z / f, the width of a pixel on a facing surface, over z.
         """
         return float(JUMP_FOOTPRINTS / np.sqrt(self.K[0, 0] * self.K[1, 1]))
 
 
 def tiles(image: Float[np.ndarray, "h w"], side_px: int) -> Float[np.ndarray, "n s s"]:
-    """Cut an image into squares, row by row, without the remainder at the right and below."""
+    """Cut an image into squares, row by row, without a remainder on the right or at the bottom."""
     rows, columns = (length // side_px for length in image.shape)
     cut = image[: rows * side_px, : columns * side_px]
     squares = cut.reshape(rows, side_px, columns, side_px).swapaxes(1, 2)

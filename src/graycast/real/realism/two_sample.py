@@ -1,4 +1,4 @@
-"""Measure how well a classifier distinguishes two sets of depth maps.
+"""Test of how well a classifier distinguishes two sets of depth maps.
 
 Squares of both sets are cut from smooth places and from the floor. A forest of randomised trees
 learns which set a square is from, and is tested by squares of maps that it has not seen. The area
@@ -31,7 +31,7 @@ _MOST_HALVES = 6  # The first set is split into halves in at most this many ways
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Auc:
-    """Mean and standard deviation over the folds; None where a place has too few squares."""
+    """Mean and standard deviation over the folds; None if a place has too few squares."""
 
     mean: float | None
     spread: float | None
@@ -40,10 +40,10 @@ class Auc:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwoSample:
-    """The AUC of two sets and of the first set's maps against each other, by place.
+    """The AUC of two sets, and of the first set's maps against each other, by place.
 
-    `score` is, by place, how much each square of both sets looks like the second, judged by a
-    forest that has not seen its map.
+    `score` has, by place, the probability that each square is from the second set, according to a
+    forest that has not seen the square's map.
     """
 
     names: tuple[str, str]
@@ -98,7 +98,7 @@ def sensor_auc(first: Squares, second: Squares, place: str, *, seed: int) -> flo
 def depth_step_m(scans: Sequence[DepthScan]) -> float:
     """Return the step of depth in a set's files [m]; 0 for floats.
 
-    The least difference between the values of a map, where all differences are multiples of it.
+    The step is the smallest difference between a map's values if it divides all differences.
     """
     value = np.unique(scans[0].depth_m[scans[0].valid])
     if len(value) < 100:
@@ -124,7 +124,7 @@ def require_sklearn() -> None:
 def _auc(
     a: Squares, b: Squares, seed: int
 ) -> tuple[Auc, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]:
-    """Return the AUC, and each square's score; NaN where nothing could be learnt."""
+    """Return the AUC, and each square's score, which is NaN if nothing can be learnt."""
     from sklearn.ensemble import ExtraTreesClassifier
     from sklearn.metrics import roc_auc_score
 

@@ -20,7 +20,7 @@ _PLACE = {"smooth": "smooth places", "floor": "floor"}
 
 
 def two_sample_table(test: TwoSample) -> str:
-    """Return the table in Markdown, which reads as plain text, too."""
+    """Return the table in Markdown, which is readable as plain text, too."""
     first, second = test.names
     rows = [
         [f"{first} against {name}", _PLACE[place], *_cells(auc[place])]
@@ -43,9 +43,9 @@ def write_two_sample(
 ) -> None:
     """Write the table to `classifier.md`, and a picture of squares to `classifier.png`.
 
-    The picture shows squares as relief over their own paraboloid, with holes in red: those of
-    each set that the classifier is most certain of, and those of the second set that it takes for
-    the first.
+    The picture shows squares as relief over their own paraboloid, with holes in red: for each set
+    the squares of which the classifier is most certain, and the squares of the second set that the
+    classifier assigns to the first.
 
     Raises:
         GraycastError: a file cannot be written.

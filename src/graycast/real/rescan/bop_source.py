@@ -1,13 +1,13 @@
 """Images of a dataset in BOP's form: a split such as `lm/train_pbr`, of one camera.
 
-A scene has `scene_camera.json`, `scene_gt.json`, `rgb` or `gray`, and `depth`; what is of one of
-several cameras ends in its name, as `depth_photoneo` and `scene_gt_photoneo.json` of IPD. Of the
-pictures, only `rgb`, or `gray` without it, is read, so `aolp` and `dolp` are not. Our own datasets
-are such folders, too: their perfect depth is read, and what our scanner measured (`_sl`) is not.
-BlenderProc's `write_bop` writes `<dataset>/train_pbr` beside `camera.json`, without models.
+A scene has `scene_camera.json`, `scene_gt.json`, `rgb` or `gray`, and `depth`. With several
+cameras, names end in the camera's name, like `depth_photoneo` and `scene_gt_photoneo.json` in IPD.
+Of the pictures, only `rgb`, or else `gray`, is read, not `aolp` or `dolp`. Graycast's datasets are
+such folders, too: their perfect depth is read, but not their scanner's files (`_sl`). BlenderProc's
+`write_bop` writes `<dataset>/train_pbr` next to `camera.json`, without models.
 
 An image without an entry in `scene_gt.json` is refused, because its objects would be missing
-without a word; an empty list says that there are none.
+without a message; an empty list means that there are no objects.
 
 Sources: github.com/thodan/bop_toolkit, docs/bop_datasets_format.md; github.com/DLR-RM/BlenderProc,
 blenderproc/python/writer/BopWriterUtility.py.
@@ -46,18 +46,18 @@ _NEAR = 0.02  # If all objects are nearer than this share of the median depth, u
 
 
 class _View(AnyCamera):
-    """A user may give the scale that a dataset leaves out."""
+    """A camera whose depth scale may be missing, because a user may state it."""
 
     depth_scale: Positive | None = None
 
 
 def open_bop(folder: Path, options: SourceOptions) -> Source:
-    """Read what a split has, and its models; pictures when they are asked for.
+    """Open a split and read its records and models; pictures are read on demand.
 
     Raises:
-        DatasetError: there are no images, or several cameras and none is named, or a file is
+        DatasetError: there are no images, there are several cameras and no choice, or a file is
             missing, damaged or contradicts another.
-        ConfigError: the materials file is not what it should be.
+        ConfigError: the materials file is not valid.
     """
     folders = scene_folders(folder, CAMERAS)
     if not folders:
@@ -165,7 +165,7 @@ def _objects(
 
 
 def _sensor(folder: Path, folders: list[Path], request: str) -> str:
-    """Return the camera that is asked for, or the only one; one without a name is the first."""
+    """Return the requested camera, or the only one; the name may be empty."""
     stems = {file.stem for path in folders for file in path.glob(CAMERAS)}
     names = {stem.removeprefix("scene_camera").removeprefix("_") for stem in stems}
     sensors = sorted(name for name in names if not f"_{name}".endswith(SCANNER))
@@ -192,7 +192,7 @@ def _entries(scene: SceneFolder, name: str, form: Any) -> Mapping[int, Any]:
 
 
 def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
-    """Return the ids of a scene's objects, whose poses are of the right form."""
+    """Check the form of the poses of a scene, and return the ids of its objects."""
     name = f"{of_sensor('scene_gt', scene.sensor)}.json"
     poses = _entries(scene, "scene_gt", Images[list[AnyPose]])
     listed = set(poses)
@@ -210,9 +210,9 @@ def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
 def _visible(
     scene: SceneFolder, image_id: int, z_m: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Return which instances an image shows; without this information, at least the farthest.
+    """Return a mask of the instances that an image shows, or of the farthest if that is unknown.
 
-    Renderers also list what is not in the image, and it may lie behind the camera.
+    Renderers also list objects outside of the image, which may be behind the camera.
     """
     name = f"{of_sensor('scene_gt_info', scene.sensor)}.json"
     if not (scene.path / name).is_file():

@@ -1,7 +1,7 @@
-"""Perfect depth alone: pictures in a folder `depth`, and colours in `rgb` or `gray` beside it.
+"""Datasets with only perfect depth, in a folder `depth`, and perhaps colours in `rgb` or `gray`.
 
-Whole numbers have a scale; floats in NPY or TIFF are metres. One camera took all pictures, which
-are the images 0, 1 ... of scene 0 by the order of their names.
+Whole numbers need a scale; floats in NPY or TIFF are metres. All pictures must be from one camera;
+in the order of their names, they become the images 0, 1 ... of scene 0.
 """
 
 from functools import partial
@@ -20,10 +20,10 @@ from .source_files import camera_of
 
 
 def open_depth(folder: Path, options: SourceOptions) -> Source:
-    """Return the pictures of a folder; each is read when it is asked for.
+    """Open a folder of depth pictures, which are read on demand.
 
     Raises:
-        DatasetError: there are none, or the camera is not known.
+        DatasetError: there are no pictures, or the camera is not known.
     """
     if options.intrinsics is None:
         raise DatasetError(

@@ -1,8 +1,8 @@
-"""Models of others as parts, with a look: that of a materials file, or their own, or plain grey.
+"""Third-party models as parts, with the look from a materials file, their own look, or grey.
 
-What is read is lenient, as a model only has to be visible: a reconstructed mesh is open, and one
-face may look the wrong way. So such a part cannot be dropped into a bin. Colours of vertices become
-one colour for each face, in a small texture.
+Checks are lenient, because a model only has to be visible: a reconstructed mesh may be open, and a
+face may point the wrong way. So such a part cannot be dropped into a bin. Vertex colours become one
+colour for each face, in a small texture.
 
 Source: BOP's format, github.com/thodan/bop_toolkit, docs/bop_datasets_format.md: PLY files in
 millimetres, with colours or with a texture, and `models_info.json`.
@@ -44,10 +44,10 @@ _REMEDY = "give their folder with --models DIR, or leave objects out with --dept
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelFile:
-    """The mesh of an object, what it is called, and what is known of it.
+    """The mesh file of an object, the object's name, and known facts about both.
 
-    `unit` is the mesh's; if the user did not state it (`unit_stated`), a `diameter_m` may show that
-    it is another. `diameter_m` and `symmetry` are those of a `models_info.json` in millimetres.
+    `unit` is the mesh's unit; unless the user stated it (`unit_stated`), `diameter_m` may show that
+    it is another. `diameter_m` and `symmetry` assume a `models_info.json` in millimetres.
     """
 
     path: Path
@@ -61,7 +61,7 @@ class ModelFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Models:
-    """Objects by id; `plain` are the ids without a stated appearance, `notes` are sentences."""
+    """Objects by id; `plain` has the ids without a stated look, `notes` has sentences."""
 
     parts: Mapping[int, Part]
     plain: frozenset[int]
@@ -71,7 +71,7 @@ class Models:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Units:
-    """The unit of a mesh, and that of its entry in `models_info.json`."""
+    """The unit of a mesh, and the unit of the mesh's entry in `models_info.json`."""
 
     mesh: str
     info: str
@@ -92,15 +92,15 @@ class _ModelInfo(BaseModel):
 
 
 def bop_models(root: Path, models: Path | None, unit: str | None = None) -> Mapping[int, ModelFile]:
-    """Return the models of a dataset in BOP's form, none of them read yet.
+    """Return the model files of a dataset in BOP's form, without reading the meshes.
 
     Args:
-        root: the dataset; the first of `FOLDERS` in it that is there is taken.
-        models: a folder that a user gives instead.
-        unit: that of the meshes, if the user states it; BOP has millimetres.
+        root: the dataset, of which the first existing folder among `FOLDERS` is used.
+        models: a user's folder of models to use instead.
+        unit: unit of the meshes if the user states it; None means BOP's millimetres.
 
     Raises:
-        DatasetError: there are none, or `models_info.json` is damaged.
+        DatasetError: there are no models, or `models_info.json` is damaged.
     """
     if models is None:
         models = next((root / name for name in FOLDERS if (root / name).is_dir()), None)
@@ -132,7 +132,7 @@ def bop_models(root: Path, models: Path | None, unit: str | None = None) -> Mapp
 
 
 def _own_names(root: Path) -> Mapping[int, str]:
-    """Return the part names of a dataset that `generate` made; BOP's files cannot hold them."""
+    """Return the part names of a `generate` dataset, because BOP's files cannot contain names."""
     if not (root / CLAIM).is_file() or claim_kind(root) is not None:
         return {}
     return {part.obj_id: part.name for part in read_claim(root).parts}
@@ -141,18 +141,18 @@ def _own_names(root: Path) -> Mapping[int, str]:
 def read_models(
     files: Mapping[int, ModelFile], obj_ids: Collection[int], materials: Path | None
 ) -> Models:
-    """Return the objects of a dataset that its images have.
+    """Read the models of the objects that a dataset's images show.
 
     Args:
         files: all models of the dataset.
-        obj_ids: those that are read.
+        obj_ids: ids of the models to read.
         materials: a YAML file: under the id or name of an object, or under `default`, the name of
-            a material or a section of its keys. Keys change what the mesh has, so that
-            `{roughness: 0.3}` keeps its colours; a name replaces it.
+            a material or a section of its keys. Keys change the mesh's own material, so that
+            `{roughness: 0.3}` keeps the colours; a name replaces the material.
 
     Raises:
-        DatasetError: an object has no model, or its file is damaged or of another unit.
-        ConfigError: the materials file is not what it should be.
+        DatasetError: an object has no model, or the model's file is damaged or in another unit.
+        ConfigError: the materials file is not valid.
     """
     looks = {} if materials is None else _looks(materials, files)
     folder = Path() if materials is None else materials.parent
@@ -196,7 +196,7 @@ def _unit_notes(converted: Mapping[str, _Units]) -> Iterator[str]:
 
 
 def _scaled(symmetry: Symmetry, factor: float) -> Symmetry:
-    """Return the same symmetry of a part whose lengths are `factor` times as large."""
+    """Return the symmetry of the same part with all lengths multiplied by `factor`."""
     scale = np.array([[1, 1, 1, factor]] * 3 + [[1, 1, 1, 1]])
     return Symmetry(
         discrete=tuple(matrix * scale for matrix in symmetry.discrete),
@@ -210,7 +210,7 @@ def read_background(materials: Path) -> Material | None:
     """Return the material under `background` of the materials file, if it has one.
 
     Raises:
-        ConfigError: the file is not what it should be.
+        ConfigError: the file is not valid.
     """
     words = parse_yaml(read_text(materials), materials).get(_BACKGROUND)
     if words is None:
@@ -228,7 +228,7 @@ def _section(words: Any, path: Path, key: str | int) -> MaterialSection:
 
 
 def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, MaterialSection]:
-    """The materials of the objects that a file names, and of all others where it has a default."""
+    """Return the materials of the objects that a file names; its default covers all others."""
     looks: dict[int, MaterialSection] = {}
     default = None
     by_name = {file.name: obj_id for obj_id, file in files.items()}
@@ -258,7 +258,7 @@ def _read_model(
 ) -> tuple[Mesh, Material, _Units]:
     """Return a mesh [m], its material and the units of its files.
 
-    The material is the mesh's own colours, or grey, changed by what a user states.
+    The material has the mesh's own colours, or grey, unless the user's section changes that.
     """
     try:
         surface = read_surface(file.path)
@@ -289,14 +289,14 @@ def _read_model(
 
 
 def _units(file: ModelFile, longest: float) -> _Units:
-    """Return the units in which a mesh has the size of a part and the diameter that is stated.
+    """Return the units in which a mesh has the size of a part and the stated diameter.
 
     The diameter of a box is at least its longest side, and at most that times the root of 3. Units
-    differ by more, so that a diameter shows the unit. Without one, the mesh has the unit that it
-    must have. A whole dataset may be in metres, its `models_info.json` too.
+    differ by more, so that a diameter shows the unit. Without a diameter, only the file's `unit` is
+    possible. A whole dataset may be in metres, including its `models_info.json`.
 
     Raises:
-        Refusal: it has such a size in no unit, or only in one that nothing states.
+        Refusal: no unit, or only a unit that nothing states, gives the mesh such a size.
     """
     diameter = None if file.diameter_m is None else file.diameter_m / UNITS_M["mm"]
     others = [] if file.unit_stated or diameter is None else [u for u in UNITS_M if u != file.unit]
@@ -333,7 +333,7 @@ def _header(path: Path) -> bytes:
 def _texture(
     surface: RawMesh,
 ) -> tuple[Float[np.ndarray, "f 3 2"] | None, UInt8[np.ndarray, "h w 3"] | None]:
-    """The file's own texture; else a pixel for each face, which its corners have the centre of."""
+    """Return uv and texture of the file, else a texture with a pixel for each face's colour."""
     if surface.texture is not None and surface.corner_uv is not None:
         return surface.corner_uv, surface.texture
     if surface.face_color is None:

@@ -1,4 +1,4 @@
-"""Choice of the reader for a dataset's layout; no other module knows all layouts."""
+"""Choice of the reader for a dataset's layout; only this module knows all layouts."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -29,17 +29,17 @@ _LAYOUTS: Mapping[str, tuple[_Opener, set[str]]] = {
 
 
 def open_source(path: Path | str, options: SourceOptions | None = None) -> Source:
-    """Return a dataset of others, by what its folder has; images are read when they are asked for.
+    """Open a third-party dataset in any known layout; images are read on demand.
 
     Args:
         path: a split in BOP's form, such as `lm/train_pbr`; a folder of Siléane or of Fraunhofer
             IPA, with `camera_params.txt` or `parameter.json`; or a folder with `depth`.
-        options: what its files do not say.
+        options: facts that the dataset's files do not state.
 
     Raises:
-        DatasetError: it is none of these, an option does not belong to it, or a file is missing,
-            damaged or contradicts another.
-        ConfigError: the materials file is not what it should be.
+        DatasetError: the layout is not known, an option does not belong to it, or a file is
+            missing, damaged or contradicts another.
+        ConfigError: the materials file is not valid.
     """
     options = options or SourceOptions()
     folder = Path(os.path.abspath(path))  # keeps a link: models are next to it, not to its target
@@ -61,7 +61,7 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
 
 
 def _depth_notes(source: Source, ray_length: bool) -> list[str]:
-    """Return a note if the first images show that depth is of the other kind, z or ray lengths."""
+    """Return a note if the first images seem to have ray lengths instead of z, or the reverse."""
     images = []
     for place in source.images[:_FOR_KIND]:
         with suppress(DatasetError):  # raised later, when the image is scanned

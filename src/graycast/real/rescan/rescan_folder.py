@@ -1,8 +1,8 @@
-"""The folder of a result: what was there, linked or copied, and beside it what the scanner adds.
+"""The folder of a result: the original files, linked or copied, and the scanner's files.
 
-A scene's folder has the names of the original; what the scanner adds ends in `_sl`, as in our own
-datasets. `scan_sl/000012.json` is written when all pictures of image 12 are there, so that it marks
-the image as finished; the scene's JSON files are made of these records at the end of each run.
+Original files keep their names; names of the scanner's files end in `_sl`, as in Graycast's own
+datasets. `scan_sl/000012.json` is written after all pictures of image 12, so that it marks the
+image as finished; at the end of each run, the scene's JSON files are made from these records.
 """
 
 import shutil
@@ -41,19 +41,19 @@ from .source import Source, SourceImage
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanFolder:
-    """A result that is open for one run; `copies` are made in place of links."""
+    """A result that is open for one run; with `copies`, it has copies instead of links."""
 
     out: Path
     source: Source
     copies: bool
 
     def finished(self) -> set[tuple[int, int]]:
-        """Return the scene and image numbers that are finished."""
+        """Return the scene and image numbers of the finished images."""
         records = (self.out / self.source.split).glob(f"*/{RECORDS}/*.json")
         return {(int(path.parents[1].name), int(path.stem)) for path in records}
 
     def write(self, place: tuple[int, int], files: Iterable[tuple[str, bytes]]) -> None:
-        """Write one image: its pictures, and then its record, as `record_file` makes it."""
+        """Write the files of one image in order; the last one must be that of `record_file`."""
         scene = self._scene(place[0])
         for name, content in files:
             path = scene / name
@@ -61,10 +61,10 @@ class RescanFolder:
             write_whole(path, content)
 
     def refuse_changed(self) -> None:
-        """Refuse a source in which an image is not what it was when it was scanned.
+        """Refuse a source in which an image has changed since it was scanned.
 
         Raises:
-            DatasetError: the text counts such images and names one of them.
+            DatasetError: an image has changed; the text has the number of such images and a name.
         """
         finished, source = self.finished(), self.source
         images = set(source.images)
@@ -88,7 +88,7 @@ class RescanFolder:
             )
 
     def begin(self, scene_ids: Iterable[int]) -> None:
-        """Bring the source's models, and its scenes without the files that a scanner added."""
+        """Link or copy the source's models, and its scenes without the files of a scanner."""
         source = self.source
         if source.scenes:
             root = source.folder.parent
@@ -111,7 +111,7 @@ class RescanFolder:
                         self._bring(path, scene / path.name)
 
     def finish(self) -> None:
-        """Return the JSON files of each scene, of all images that are there."""
+        """Write the JSON files of each scene from the records of its finished images."""
         for scene_id in sorted({scene_id for scene_id, _ in self.finished()}):
             for name, content in scene_records(self._records(scene_id)).items():
                 write_whole(self._scene(scene_id) / f"{name}.json", json_bytes(content))
@@ -123,7 +123,7 @@ class RescanFolder:
         """Return the records of a scene by image.
 
         Raises:
-            DatasetError: one is damaged.
+            DatasetError: a record is damaged.
         """
         try:
             return image_records(self._scene(scene_id))
@@ -133,7 +133,7 @@ class RescanFolder:
             ) from error
 
     def _bring(self, path: Path, place: Path) -> None:
-        """Link to a file or folder of the original, or copy it, also in place of a link."""
+        """Link to an original file or folder, or copy it, even if there is a link already."""
         linked = place.is_symlink()
         if place.exists() and not (linked and self.copies):
             return
@@ -156,14 +156,14 @@ def open_rescan(
     scene_ids: Iterable[int],
     copies: bool,
 ) -> Iterator[RescanFolder]:
-    """Make the folder, or go on with one of the same claim; no other run has it meanwhile.
+    """Make the folder, or continue one with the same claim, and keep other runs out.
 
     Args:
-        scene_ids: of the scenes whose original files the folder gets.
+        scene_ids: ids of the scenes whose original files the folder gets.
 
     Raises:
-        GraycastError: the folder holds something else, was made from another source or from one
-            that has changed since, or lies in the source; another run has it; the disk refuses.
+        GraycastError: the folder has other content, was made from another source or from one that
+            has changed since, is in the source, is in use by a run, or cannot be written.
     """
     refuse_foreign(out, CLAIM)
     original = source.folder.resolve()
@@ -188,10 +188,10 @@ def open_rescan(
 
 
 def _refuse_other_source(out: Path, source: Source) -> None:
-    """Refuse to go on with what was made from a dataset in another place.
+    """Refuse to continue a result of a dataset in another place.
 
     Raises:
-        DatasetError: it was, and the text names both places.
+        DatasetError: the dataset is in another place; the text names both places.
     """
     if is_rescanned(out):
         places = {str(source.folder), str(source.folder.resolve())}
@@ -205,7 +205,7 @@ def _refuse_other_source(out: Path, source: Source) -> None:
 def record_file(
     number: int, record: Mapping[str, Any], files: Iterable[tuple[str, bytes]]
 ) -> tuple[str, bytes]:
-    """The record of an image, with the SHA-256 of its files, as (path in the scene, content)."""
+    """Return path and content of an image's record, which has the SHA-256 of the image's files."""
     sums = {name: sha256(content) for name, content in files}
     return f"{RECORDS}/{number:06d}.json", json_bytes({**record, SUMS: sums})
 

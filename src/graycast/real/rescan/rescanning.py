@@ -1,6 +1,6 @@
-"""All images of a dataset of others under a scanner: staged, lit, taken, decoded, written.
+"""Scan of all images of a third-party dataset: staging, rendering, capture, decoding, writing.
 
-An image's result depends on the source, the scanner, the seed and the image's numbers alone.
+An image's result depends only on the source, the scanner, the seed and the image's numbers.
 """
 
 import time
@@ -58,9 +58,9 @@ _BY_CONTENT = ("models", "materials", "intrinsics")  # The claim stores the cont
 class RescanSpec:
     """Options of a rescan: the camera, the rendering, the images, and the seed.
 
-    With the `camera` of an 'image', its intrinsics take the place of the rig's; with that of the
-    'rig', the rig's own camera stands where the image's stood. The first `images` are made, or all
-    of them. `copies` are made of the original files in place of links.
+    If `camera` is 'image', the image's intrinsics replace the rig's; if it is 'rig', the rig's own
+    camera has the place of the image's. `images` is the number of first images to scan; None scans
+    all. `copies` makes copies of the original files instead of links.
     """
 
     camera: Literal["image", "rig"] = "image"
@@ -77,9 +77,9 @@ class RescanSpec:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanSummary:
-    """Summary of a run: images made, already there and given up.
+    """Summary of a run: images written, already there, and set aside.
 
-    The shares are of the pixels of all images that it made, and of those that see objects.
+    The shares refer to all pixels of the written images, and to the pixels that see objects.
     """
 
     written: int
@@ -98,10 +98,10 @@ class ImageScanner:
         self._renderer = WorkerRenderer(device=task.device, threads=threads, progress=progress)
 
     def make(self, scene_id: int) -> TaskResult:
-        """Scan one image, which is given by its index among the images of the source.
+        """Scan one image; `scene_id` is its index among the images of the source.
 
         Raises:
-            DatasetError, DecodeError, ValueError: this image cannot be scanned; the next may be.
+            DatasetError, DecodeError, ValueError: this image cannot be scanned; others may be.
         """
         start = time.perf_counter()
         task = self._task
@@ -153,7 +153,7 @@ class ImageScanner:
     def _scanned(
         self, staged: Staged, scanner: Scanner, seeds: dict[str, int], number: int
     ) -> tuple[Sample, dict[str, Any]]:
-        """Return the sample of a staged image, and what its record says of it."""
+        """Return the sample of a staged image, and facts for the image's record."""
         task = self._task
         render = task.spec.render
         with self._renderer.of(render) as renderer:
@@ -231,12 +231,12 @@ def rescan(
 ) -> RescanSummary:
     """Scan the images of a source that are not in `out` yet.
 
-    An image that cannot be scanned is set aside and the others are made; `set_aside.json` names it,
-    and the next run tries it again.
+    An image that cannot be scanned is set aside, and the run continues; `set_aside.json` names that
+    image, and the next run tries it again.
 
     Raises:
-        GraycastError, ValueError: nothing can be scanned for this reason; or the folder is another
-            result's, is in use, or the disk refuses.
+        GraycastError, ValueError: no image can be scanned, for the reason in the text; or the
+            folder belongs to another result, is in use, or cannot be written.
     """
     start = time.perf_counter()
     task = RescanTask(
@@ -300,7 +300,7 @@ def _name(place: tuple[int, int]) -> str:
 
 
 def _refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:
-    """Refuse an image of which the rig can measure nothing.
+    """Refuse an image in which the rig can measure nothing.
 
     Raises:
         DecodeError: hardly any depth is within the rig's range.
@@ -321,7 +321,7 @@ def _refuse_hopeless(source: Source, first: Sequence[tuple[int, int]], scanner: 
     """Refuse a rig that cannot measure any of the first images, before any work is done.
 
     Raises:
-        ConfigError: it measures none, and will not measure others of the same camera.
+        ConfigError: all first images are out of the rig's range.
     """
     errors = []
     for scene_id, image_id in first:
@@ -345,9 +345,9 @@ def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
 
 
 def _claim(task: RescanTask) -> dict[str, Any]:
-    """Return the content of `graycast.json`: everything that the files follow from.
+    """Return the content of `graycast.json`: everything on which the files depend.
 
-    What the source's files hold is in the record of each image.
+    The content of the source's files is in the record of each image.
     """
     source, spec = task.source, task.spec
     intrinsics = source.options.intrinsics

@@ -1,22 +1,22 @@
-"""Images of the Siléane and of the Fraunhofer IPA Bin-Picking dataset, of one kind of part each.
+"""Images of the Siléane and the Fraunhofer IPA Bin-Picking dataset, with one kind of part each.
 
 Depth has 16 bits from one clipping plane to the other, lengths are metres, and the mesh is
-`mesh.ply`. What contradicts this is refused.
+`mesh.ply`. Files that contradict this are refused.
 
-Siléane (`camera_params.txt`, `depth_gt` or `depth`, `gt/*.json`, `rgb`): poses and the camera, a
-place and a quaternion w x y z, are in one absolute frame; white depth is not known. Where there is
-no `depth_gt`, depth has noise. Source: R. Brégier et al., "Symmetry aware evaluation of 3D object
+Siléane (`camera_params.txt`, `depth_gt` or `depth`, `gt/*.json`, `rgb`): the poses and the camera,
+given as place and quaternion w x y z, are in one absolute frame; white means unknown depth. Without
+`depth_gt`, depth has noise. Source: R. Brégier et al., "Symmetry aware evaluation of 3D object
 detection and pose estimation in scenes of many parts in bulk", ICCVW 2017;
-rbregier.github.io/dataset2017 and the sample in github.com/rbregier/pose_recovery_evaluation. That
-the quaternion turns the camera's frame into the absolute one is what public readers take.
+rbregier.github.io/dataset2017 and the sample in github.com/rbregier/pose_recovery_evaluation.
+Public readers assume that the quaternion turns the camera's frame into the absolute frame.
 
 IPA (`parameter.json`, `p_depth/cycle_0000/001_depth_uint16.png`, `gt/cycle_0000/001.csv`, `p_rgb`):
-a picture is cut out of a square one with the axis in its middle; orthographic ones are no camera's.
-Poses go to a frame with x left and y up. A row has id, class, translation, the three columns of the
-rotation, and shares that are visible; id 0 is the bin, and image 0 the empty bin. Source: K.
-Kleeberger et al., "Large-scale 6D object pose estimation dataset for industrial bin-picking", IROS
-2019; the files are as public readers take them (PPR-Net), and none was at hand. Not verified: that
-depth of 0 and 65535 is not known.
+a picture is cut out of a square with the axis in its middle; orthographic pictures are refused.
+Poses refer to a frame with x left and y up. A row has id, class, translation, the three columns of
+the rotation, and visible shares; id 0 is the bin, and image 0 the empty bin. Source: K. Kleeberger
+et al., "Large-scale 6D object pose estimation dataset for industrial bin-picking", IROS 2019; the
+format follows a public reader (PPR-Net), because no files were available. Not verified: that 0 and
+65535 mean unknown depth.
 """
 
 import math
@@ -79,7 +79,7 @@ class _Pose(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Camera:
-    """Data that all images of a folder share; `poses` reads those of an image by its depth file."""
+    """Data that all images of a folder share; `poses` reads an image's poses by its depth file."""
 
     path: Path
     K: list[float]
@@ -91,7 +91,7 @@ class _Camera:
 
 
 def open_sileane(folder: Path, options: SourceOptions) -> Source:
-    """Return the images of one of Siléane's objects; image i is the i-th of the sorted names.
+    """Open the images of one of Siléane's objects; image i is the i-th of the sorted names.
 
     Raises:
         DatasetError: a file is missing, damaged or contradicts another.
@@ -134,7 +134,7 @@ def _poses_of_sileane(T_cam_world: np.ndarray, depth: Path) -> list[np.ndarray]:
 
 
 def open_ipa(folder: Path, options: SourceOptions) -> Source:
-    """Return the images of a folder of the IPA dataset; a cycle is a scene.
+    """Open the images of a folder of the IPA dataset; each cycle is a scene.
 
     Raises:
         DatasetError: a file is missing, damaged or contradicts another, or is orthographic.
@@ -170,7 +170,7 @@ def open_ipa(folder: Path, options: SourceOptions) -> Source:
 
 
 def _beside(kind: str, end: str, depth: Path) -> Path:
-    """Another file of the image of a depth picture, in its folder of the same cycle."""
+    """Return the path of another file of a depth picture's image, in the same cycle."""
     name = depth.name.removesuffix(_IPA_DEPTH) + end
     return depth.parents[2] / kind / depth.parent.name / name
 

@@ -1,7 +1,7 @@
-"""Images of a dataset that others made, whatever its layout, and what its files do not state.
+"""Images of a third-party dataset in any layout, and facts that its files do not state.
 
-Frames: `T_cam_part` takes a model's coordinates [m] to OpenCV's camera frame (x right, y down, z
-forward). Depth is z of that frame in metres.
+Frames: `T_cam_part` transforms a model's coordinates [m] to OpenCV's camera frame (x right, y down,
+z forward). Depth is z in that frame in metres.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -31,16 +31,16 @@ class SourceOptions:
     """Facts that the files of a dataset do not state, and the choice of what to read.
 
     Attributes:
-        sensor: the camera, where a dataset has several.
-        models: the folder of models, or the mesh of the only object; None looks beside the images.
-        materials: a YAML file with a material for each object and for what is none; see
+        sensor: name of the camera to use if a dataset has several.
+        models: folder of models, or mesh of the only object; None searches the dataset's folder.
+        materials: a YAML file with a material for each object and for the background; see
             `model_files.read_models` and `read_background`.
-        depth_scale_mm: millimetres of one step of stored depth; it goes before what files say.
-        intrinsics: a file or `fx,fy,cx,cy`, where a dataset is depth alone.
+        depth_scale_mm: millimetres of one step of stored depth; it has precedence over files.
+        intrinsics: a file or `fx,fy,cx,cy`, for a dataset with only depth.
         depth_only: whether objects are left out: no models are needed, and no poses are read.
-        unit: that of the models, a key of `UNITS_M`; None takes that of the layout, or what a
-            diameter in `models_info.json` shows.
-        ray_length: whether depth is the distance along each pixel's ray, which becomes z.
+        unit: unit of the models, a key of `UNITS_M`; None takes the unit of the layout, or the one
+            that a diameter in `models_info.json` shows.
+        ray_length: whether depth is the distance along each pixel's ray; it is converted to z.
     """
 
     sensor: str = ""
@@ -66,9 +66,9 @@ class SourceOptions:
 class SourceImage:
     """One image: depth and colours, and the objects with their poses.
 
-    `depth_m` is NaN where it is not known, `rgb` None where there is no colour picture; a grey
+    `depth_m` is NaN where depth is not known, `rgb` is None without a colour picture; a grey
     picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`. Depth
-    is a multiple of `step_m`; 0 is for depth in floating-point numbers.
+    is a multiple of `step_m`; a step of 0 means floating-point numbers.
     """
 
     camera: Optics
@@ -86,12 +86,12 @@ class Source:
     """A third-party dataset, or one of its splits; images are read on demand.
 
     Attributes:
-        folder: the split's folder in BOP's form, the whole dataset's in another layout.
-        split: its name in the result, such as `train_pbr`.
+        folder: the split's folder in BOP's form, or the whole dataset's in another layout.
+        split: name of the split in the result, such as `train_pbr`.
         images: scene and image numbers, in order.
         parts: the objects by their ids, in metres and with their look; empty without models.
         plain: the ids of parts whose look nothing states: they are grey.
-        image_of: reads an image of a scene. It can be pickled, so that workers read.
+        image_of: function that reads an image of a scene; it can be pickled for workers.
         sensor: the camera that is read, "" where the dataset has only one; its files end in
             `_sensor`.
         scenes: the folders of scenes in BOP's form, by their numbers, to whose files the result may

@@ -1,4 +1,4 @@
-"""Depth, colours, cameras and poses of others: read without trust, and refused in one line."""
+"""Reading of third-party depth, colours, cameras and poses, with checks and short errors."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,18 +39,18 @@ def source_image(
     step_m: float,
     ray_length: bool = False,
 ) -> SourceImage:
-    """Return an image of its depth and its files.
+    """Return an image from its depth and its files.
 
     Args:
-        depth_m: as of `stored_depth`, and so is `step_m`.
-        rgb: the colour or grey picture.
-        camera: the matrix by rows, and where it stands.
-        objects: id and pose of each.
-        distortion: of the camera.
-        ray_length: whether `depth_m` is the distance along each pixel's ray, which becomes z.
+        depth_m: depth as returned by `stored_depth`, like `step_m`.
+        rgb: path of the colour or grey picture.
+        camera: the matrix by rows, and its place in the files for errors.
+        objects: id and pose of each object.
+        distortion: distortion of the camera.
+        ray_length: whether `depth_m` is the distance along each pixel's ray, to convert to z.
 
     Raises:
-        DatasetError: the picture is of another size or damaged, or the matrix is that of no camera.
+        DatasetError: the picture has another size or is damaged, or the matrix is not a camera's.
     """
     colours = None if rgb is None else _rgb(rgb)
     if colours is not None and colours.shape[:2] != depth_m.shape:
@@ -70,7 +70,7 @@ def source_image(
 
 
 def stored_steps(path: Path) -> np.ndarray:
-    """Read stored depth of one channel: whole numbers of 16 bits, or floats.
+    """Read stored depth with one channel: whole numbers of 16 bits, or floats.
 
     Raises:
         DatasetError: the file is missing, damaged, or of another kind.
@@ -85,10 +85,10 @@ def stored_steps(path: Path) -> np.ndarray:
 
 
 def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], float]:
-    """Read depth [m], and its step, 0 for floats; stored 0 and non-finite become NaN.
+    """Read depth [m] and its step, which is 0 for floats; 0 and non-finite values become NaN.
 
     Raises:
-        DatasetError: as of `stored_steps`, or depth is negative or too far.
+        DatasetError: see `stored_steps`; or depth is negative or too large.
     """
     steps = stored_steps(path)
     depth_m = in_metres(steps, scale_m, str(path))
@@ -98,7 +98,7 @@ def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], 
 
 
 def _rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a colour picture, or a grey one with three equal bands; 16 bits become 8."""
+    """Return a colour picture, or a grey picture with three equal bands; 16 bits become 8."""
     image = _picture(path)
     image = image[..., None] if image.ndim == 2 else image
     if image.dtype == np.uint16:
@@ -118,10 +118,10 @@ def _picture(path: Path) -> np.ndarray:
 def camera_of(
     K: Any, where: str, size_px: tuple[int, ...], distortion: Sequence[float] = (0.0,) * 5
 ) -> Optics:
-    """Return the camera of a matrix by rows; `size_px` is height and width.
+    """Return the camera with a matrix given by rows; `size_px` is height and width.
 
     Raises:
-        DatasetError: the matrix is that of no camera, or has a skew.
+        DatasetError: the matrix is not a camera's, or has a skew.
     """
     matrix = np.reshape(K, (3, 3)).astype(float)
     (fx, skew, _), (zero, _, _), last = matrix.tolist()
@@ -137,10 +137,10 @@ def camera_of(
 
 
 def pose_of(rotation: Any, translation_m: Any, where: str) -> Float[np.ndarray, "4 4"]:
-    """Return a pose of a file; its rotation is the one nearest to the rounded numbers.
+    """Return a pose from numbers in a file, with the rotation nearest to the rounded numbers.
 
     Raises:
-        DatasetError: the numbers are no rotation, or are not finite.
+        DatasetError: the numbers are not a rotation, or are not finite.
     """
     T = rigid(np.reshape(rotation, (3, 3)).astype(float), np.asarray(translation_m, float))
     if not is_rigid(T, tolerance=_ROUNDED):

@@ -1,13 +1,13 @@
 """Scene from perfect depth: meshes of the objects, and one solid for everything else.
 
-The world is the frame of the image's camera, which is taken to look down at the scene: a lamp
-stands beside it as over a cell of ours. What no object covers becomes the top of a solid whose
-sides run along the camera's rays down to the surface beside; behind the objects its surface
-goes on as a membrane that hangs at what is known around them.
+The world is the frame of the image's camera, which is assumed to look down at the scene: lamps are
+next to it as in Graycast's default cell. Surfaces outside of objects become the top of a solid with
+sides along the camera's rays down to the neighbouring surface; behind the objects, the top
+continues as a membrane fixed to the known depth around them.
 
-Leaves out: what neither the models nor the depth show, such as the back of a bin's wall and
-everything outside the picture; light that passes under an overhang; objects that bend or are not
-among the models look as the picture does, and are matt.
+Leaves out: surfaces that neither the models nor the depth show, such as the back of a bin's wall
+and everything outside the picture; light that passes under an overhang; the gloss of objects that
+bend or have no model: they are matt and look like the picture.
 """
 
 from collections.abc import Collection, Mapping
@@ -45,7 +45,7 @@ _GREY = Material(base_color=(0.4, 0.4, 0.4))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Staged:
-    """An image as a scene; `obj_id` are the ids of the scene's labelled parts, in their order."""
+    """An image as a scene; `obj_id` has the ids of the scene's labelled parts, in their order."""
 
     scene: Scene
     layout: Layout
@@ -85,17 +85,17 @@ def stage(
     unknown_look: Collection[int] = (),
     background: Material | None = None,
 ) -> Staged:
-    """Build the scene of an image, before the scanner.
+    """Build the scene of an image, in front of the scanner.
 
     Args:
-        parts: by the ids of objects; of an object that is not among them nothing is known but its
-            surface in the depth.
-        unknown_look: ids of parts whose material nobody gave: they get the mean colour that the
-            picture has where they are.
-        background: the material of what is no object; None is matt and looks as the picture does.
+        parts: parts by the ids of objects; an object without a part has only its surface in the
+            depth.
+        unknown_look: ids of parts without a stated material: they get the mean colour of the
+            picture at their pixels.
+        background: material of everything that is no object; None is matt, with the picture's look.
 
     Raises:
-        DatasetError: the depth contradicts the objects, or there is none.
+        DatasetError: the depth contradicts the objects, or there is no depth.
     """
     known = np.isfinite(image.depth_m)
     if not known.any():
@@ -147,7 +147,7 @@ def _lamps(depth_m: float) -> tuple[Lamp, ...]:
 def _nearest(
     image: SourceImage, parts: Mapping[int, Part], modelled: Collection[int]
 ) -> tuple[Float[np.ndarray, "h w"], np.ndarray]:
-    """Return the depth of the nearest object at each pixel, and its instance; NaN, -1 for none."""
+    """Return depth and instance of the nearest object at each pixel; NaN and -1 without object."""
     nearest_m = np.full(image.depth_m.shape, np.inf)
     which = np.full(image.depth_m.shape, -1)
     for i in modelled:
@@ -162,7 +162,7 @@ def _nearest(
 def _of_objects(
     depth_m: Float[np.ndarray, "h w"], nearest_m: Float[np.ndarray, "h w"], step_m: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the pixels whose depth is that of an object, or unknown."""
+    """Return a mask of an object's pixels: their depth agrees with the object, or is unknown."""
     near_m = _NEAR_M + _NEAR_SHARE * nearest_m + step_m
     with np.errstate(invalid="ignore"):  # comparisons with NaN are false
         agrees = np.abs(depth_m - nearest_m) < near_m
@@ -174,10 +174,10 @@ def _refuse_contradiction(
     nearest_m: Float[np.ndarray, "h w"],
     own: Bool[np.ndarray, "h w"],
 ) -> None:
-    """Refuse depth that is behind an object; depth in front of it only means that it is hidden.
+    """Refuse depth behind an object; depth in front only means that the object is hidden.
 
     Raises:
-        DatasetError: it lies behind in many places.
+        DatasetError: depth is behind objects in many pixels.
     """
     both = np.isfinite(depth_m) & np.isfinite(nearest_m)
     with np.errstate(invalid="ignore"):
@@ -241,9 +241,9 @@ def _rounds(step_m: float) -> Rounds:
 
 
 def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Return depth everywhere: where it is not known, inverse depth is the mean of that around it.
+    """Return depth everywhere: unknown inverse depth is the mean of the inverse depth around it.
 
-    So a plane goes on as a plane. Laplace's equation is solved on blocks of pixels.
+    So a plane continues as a plane. Laplace's equation is solved on blocks of pixels.
     """
     known = np.isfinite(depth_m)
     rows, columns = (-(-size // _COARSE) for size in depth_m.shape)
@@ -269,7 +269,7 @@ def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> np.ndarray:
     """Return values of the free blocks, each the mean of its neighbours; the border is mirrored.
 
-    The Laplacian is that of the differences between neighbours: none crosses the border.
+    The Laplacian uses differences between neighbours, of which none crosses the border.
     """
     rows, columns = (sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in free.shape)
     laplacian = sparse.kronsum(columns.T @ columns, rows.T @ rows).tocsr()[free.ravel()]
@@ -278,7 +278,7 @@ def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> n
 
 
 def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
-    """Estimate reflectance from a picture's linear values; the brightest are taken as white."""
+    """Estimate reflectance from a picture's linear values, if the brightest values are white."""
     light = linear(rgb)
     white = float(np.quantile(light.max(axis=-1), _WHITE_SHARE))
     return np.clip(light * (_BRIGHTEST / max(white, 1e-3)), _DARKEST, _MOST)
@@ -287,7 +287,7 @@ def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"
 def _mean_colors(
     reflectance: Float[np.ndarray, "h w 3"], which: np.ndarray, obj_id: np.ndarray
 ) -> dict[int, tuple[float, float, float]]:
-    """Return the mean reflectance that the picture has of each object in it."""
+    """Return the mean reflectance of each visible object in the picture."""
     visible = which >= 0
     of = obj_id[which[visible]]
     color = reflectance[visible]

@@ -1,4 +1,4 @@
-"""The twin of a scanner one owns: its simulated scans have the statistics of the real ones."""
+"""The twin of a user's scanner: its simulated scans have the statistics of real scans."""
 
 from .making import check_scans, make_twin
 from .twin_files import files_of, summary, write_twin

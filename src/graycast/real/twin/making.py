@@ -41,8 +41,8 @@ COATS = (-ROUGHER, 0.0, ROUGHER)  # The bin is rendered with each of these coats
 class Twin:
     """Result of a fit, with pictures and the classifier's judgement.
 
-    `examples` has a real scan, and its scene by the configured scanner and by the twin.
-    `classified` has 'before' and 'after' the search, and 'kept aside' of scans that were.
+    `examples` has a real scan, and scans of its scene by the configured scanner and by the twin.
+    `classified` has the tests 'before' and 'after' the search, and 'kept aside' for scans kept so.
     """
 
     fit: Fit
@@ -65,12 +65,12 @@ def make_twin(
     """Fit the cell's scanner, and the look of its bin, to real scans.
 
     Args:
-        pictures: in colour, one for each scan, or none; see `restage`.
-        aside: so many of the last scans the search does not see; the classifier judges them apart.
+        pictures: a colour picture for each scan, or none; see `restage`.
+        aside: number of last scans that the search does not use; they are classified separately.
 
     Raises:
-        GraycastError: there are too few scans, of another camera than the rig's, or of no
-            structured light; pictures do not fit; scikit-learn is not installed.
+        GraycastError: there are too few scans, or they are from another camera than the rig's or
+            not from structured light; pictures do not fit; scikit-learn is not installed.
     """
     require_sklearn()
     check_scans(real, cell, aside=aside)
@@ -132,7 +132,7 @@ def check_scans(real: Sequence[DepthScan], cell: Cell, *, aside: int = 0) -> Non
     """Check that a twin can be made of these scans, `aside` of which are kept aside.
 
     Raises:
-        GraycastError: it cannot; the text says why, and what to give.
+        GraycastError: a twin cannot be made; the text has the reason and the remedy.
     """
     if len(real) - aside < LEAST_SCANS:
         raise GraycastError(
@@ -163,12 +163,12 @@ def check_scans(real: Sequence[DepthScan], cell: Cell, *, aside: int = 0) -> Non
 def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
     """Refuse scans without a shadow side, which one camera and one projector always cause.
 
-    Where a near surface hides a far one from the projector the far one has no depth, so between
-    valid neighbours depth never falls off on the side away from the projector. Two cameras that
-    match, and a camera beside its light, have jumps on both sides alike.
+    Where a near surface hides a far surface from the projector, the far surface has no depth, so
+    valid neighbours never show a drop on the side away from the projector. Stereo cameras, and
+    cameras right next to their light, have equal numbers of jumps on both sides.
 
     Raises:
-        GraycastError: there is no such side, or too little in the scans to tell.
+        GraycastError: there is no such side, or the scans have too few jumps to decide.
     """
     counts = [count_steps(scan) for scan in scans]
     right, left, below, above = (
@@ -194,9 +194,9 @@ def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
 
 
 def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
-    """Return the declared parameters, without looks of the bin that cannot be changed.
+    """Return the declared parameters, except those of the bin's look that cannot be changed.
 
-    A texture has no one colour, and the gloss of a metal is its colour.
+    A texture does not have a single colour, and the gloss of a metal is its colour.
     """
     box = bin_of(cell.scene)
     plain = [m for m in (box.material, box.floor) if m is not None]

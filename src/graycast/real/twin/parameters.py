@@ -1,6 +1,6 @@
 """Parameters of a scanner that are fitted because its user cannot know them.
 
-A new parameter is one line of `PARAMETERS`: its key, its bounds and how its range is walked.
+A new parameter is one line of `PARAMETERS`: its key, its bounds and the scale of its range.
 """
 
 import math
@@ -32,9 +32,9 @@ class Parameter:
 
     `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
     the value under which a filter or fault is switched off, and `off_above` the one over which a
-    limit is lifted. `laser` is what a search found of one laser scanner (a PhoXi) over one bin of
-    plastic. It is a place to begin at for scanners of that kind, whose noise is the surface's and
-    hardly the light's: see docs/measurements/twin.md.
+    limit is removed. `laser` is the value that a search found for one laser scanner (a PhoXi) over
+    one plastic bin. It is a start for scanners of that kind, whose noise comes from the surface and
+    hardly from the light: see docs/measurements/twin.md.
     """
 
     key: str
@@ -97,7 +97,7 @@ def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
 def with_values(
     scanner: Scanner, parameters: Sequence[Parameter], values: Mapping[str, float]
 ) -> Scanner:
-    """Return the scanner with those values instead of its own."""
+    """Return the scanner with the given values instead of its own."""
     for parameter in parameters:
         if parameter.key not in OF_BIN:
             value: Any = values[parameter.key]
@@ -112,7 +112,7 @@ def with_values(
 
 
 def value_of(scanner: Scanner, parameter: Parameter) -> float:
-    """Return the scanner's value; if it is off or missing, the bound that means off."""
+    """Return the scanner's value of a parameter, or the bound that means off if there is none."""
     if parameter.key in OF_BIN:
         return 0.0 if parameter.key == BIN_ROUGHNESS else 1.0
     value: Any = scanner

@@ -1,12 +1,12 @@
 """Staging of a real scan's scene: a solid in the bin's mesh, with the picture on its top.
 
-What a scan measured nearer than the bin becomes one solid. Its top is the measured surface without
-its noise, and its sides run along the camera's rays down to the bin, where the camera does not see
-them and no light passes below the surface. A scan that is simulated of this scene shows the same
-surfaces at the same pixels as the real one, so that whatever differs is the sensor's.
+Surfaces that a scan measured in front of the bin become one solid. Its top is the measured surface
+without noise, and its sides run along the camera's rays down to the bin, so that the camera does
+not see the sides and no light passes below the surface. A simulated scan of this scene shows the
+same surfaces at the same pixels as the real scan, so that all differences come from the sensor.
 
-Leaves out: surfaces that the scan lost, unless they are small gaps in others; light that passes
-under an overhang; what is thinner than `_THIN_M`; other materials than matt plastic or paper.
+Leaves out: surfaces that the scan lost, except in small gaps; light that passes under an overhang;
+objects thinner than `_THIN_M`; other materials than matt plastic or paper.
 """
 
 from collections.abc import Sequence
@@ -47,15 +47,15 @@ def restage(
 ) -> tuple[Scene, ...]:
     """Stage the scene of each scan: `scene` with its bin, camera and light, and one solid part.
 
-    The part is in the world frame: it lies at the identity. A scan of an empty bin has none.
+    The part's vertices are in the world frame. The scene of an empty bin has no part.
 
     Args:
-        pictures: 8-bit sRGB that shows what each depth map shows, with as many pixels or more; none
-            make all parts grey. The brightest surfaces of all pictures are taken to be white.
+        pictures: 8-bit sRGB pictures of the same views as the depth maps, with as many pixels or
+            more; without pictures, parts are grey. The brightest surfaces are assumed to be white.
 
     Raises:
-        GraycastError: the pictures are not as many as the scans, or of another shape; the bin is
-            hardly anywhere where the scans have depth.
+        GraycastError: number or shape of the pictures do not match the scans, or the depth of the
+            scans hardly shows the bin.
     """
     camera, mesh = scene.rig.camera, bin_mesh(bin_of(scene))
     bin_m = visible_surface(scene.T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
@@ -89,7 +89,7 @@ def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"
     """Refuse scans that hardly show the bin: with a wrong pose, all would look like a part.
 
     Raises:
-        GraycastError: hardly any depth of the scans is the bin's.
+        GraycastError: hardly any depth of the scans is near the bin.
     """
     near = known = 0
     for scan in scans:
@@ -108,11 +108,11 @@ def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"
 def standing_before(
     depth_m: Float[np.ndarray, "h w"], bin_m: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of pixels at which a thing is nearer than the bin, or no bin is.
+    """Return a mask of the pixels with depth in front of the bin or outside of it.
 
     Args:
-        depth_m: as measured, NaN where nothing is.
-        bin_m: depth of the empty bin, NaN beside it.
+        depth_m: measured depth; NaN where there is none.
+        bin_m: depth of the empty bin; NaN outside of it.
     """
     known = np.isfinite(depth_m)
     both = known & np.isfinite(bin_m)
@@ -130,7 +130,7 @@ def standing_before(
 
 
 def _without_gaps(planes: Planes, known: Bool[np.ndarray, "h w"]) -> Planes:
-    """Fill small gaps of the scan with the plane around them, if that is one surface."""
+    """Fill small gaps of the scan with the plane around them, if one plane fits there."""
     filled = planes.copy()
     label, _ = ndimage.label(~known)
     reach = 2
@@ -158,7 +158,7 @@ def _without_gaps(planes: Planes, known: Bool[np.ndarray, "h w"]) -> Planes:
 def _mean(
     value: Float[np.ndarray, "h w"], counts: Bool[np.ndarray, "h w"], size_px: int
 ) -> Float[np.ndarray, "h w"]:
-    """Return the mean over a square of the pixels that count; 0 where none does."""
+    """Return the mean over a square of the pixels that count; 0 where no pixel counts."""
     share = ndimage.uniform_filter(counts.astype(np.float64), size_px)
     total = ndimage.uniform_filter(np.where(counts, value, 0.0), size_px)
     return np.where(share > 1e-6, total / np.maximum(share, 1e-6), 0.0)
@@ -172,10 +172,10 @@ def _covered(
 ) -> Float[np.ndarray, "h w 4"]:
     """Return the share of each neighbour without depth (left, right, up, down) that is covered.
 
-    A scanner loses a pixel that sees two surfaces if both send it about as much light, so in a gap
-    of one or two pixels the edge lies where they do: a bright thing covers little of a pixel that
-    it shares with a dark one. Where a gap is wider, the far surface is in shadow and the edge may
-    lie anywhere: half of the pixel is covered.
+    A scanner loses a pixel that sees two surfaces if both send about the same light to the pixel.
+    So in a gap of one or two pixels, the edge is where their light is equal: a bright surface
+    covers little of a pixel that it shares with a dark one. In a wider gap, the far surface is in
+    shadow and the edge may be anywhere: half of the pixel is covered.
     """
     covered = np.zeros((*known.shape, 4))
     for side, (axis, step) in enumerate(((1, -1), (1, 1), (0, -1), (0, 1))):
@@ -212,7 +212,7 @@ def _textures(
     """Return the pictures as reflectances in sRGB, scaled so that their brightest areas are white.
 
     Raises:
-        GraycastError: they are not as many as the scans, or of another shape.
+        GraycastError: number or shape of the pictures do not match the scans.
     """
     if not pictures:
         return (None,) * len(scans)
@@ -246,7 +246,7 @@ def _textures(
 
 
 def _at_depth(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the pixel of a finer picture of the same view at each pixel of the depth."""
+    """Return a finer picture of the same view, sampled at each pixel of the depth."""
     height, width = shape
     rows = np.arange(height) * image.shape[0] // height
     return image[np.ix_(rows, np.arange(width) * image.shape[1] // width)]

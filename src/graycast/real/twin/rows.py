@@ -1,4 +1,4 @@
-"""The statistics that a twin is to share with the real scans: one row each, a number per scan.
+"""The statistics that a twin should share with the real scans: rows with a number per scan.
 
 The twin scans the scenes of the real scans, so every difference is due to the sensor.
 """
@@ -36,7 +36,7 @@ _FAR_Z = 3.0  # Larger deviations count by their logarithm.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One statistic of the real scans and of the twin's."""
+    """One statistic of the real scans and of the twin's scans."""
 
     name: str
     unit: str
@@ -46,7 +46,7 @@ class Row:
 
     @property
     def off(self) -> float:
-        """Deviation of the twin in spreads."""
+        """Deviation of the twin from the real scans, in spreads."""
         return (self.twin - self.real) / self.spread
 
     @property
@@ -56,9 +56,9 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """The statistics of a set of scans: a number per scan, NaN if it cannot be found.
+    """The statistics of a set of scans: a number per scan, NaN if it is unknown.
 
-    `places` are where missing depth was counted; without them it was in the whole frame.
+    `places` has masks of the pixels in which missing depth was counted; empty means everywhere.
     """
 
     value: Mapping[str, Float[np.ndarray, " scans"]]
@@ -75,10 +75,10 @@ def figures_of(
     floor: Float[np.ndarray, "3"] | None,
     places: Places | None = None,
 ) -> Figures:
-    """Return all rows of each scan, computed while the next scan is made.
+    """Return the statistics of each scan, computed while the next scan is made.
 
     Args:
-        floor: the plane of `find_floor`, None where none was found.
+        floor: the plane of `find_floor`, or None.
         places: from `missing_places`, or none.
     """
     with ThreadPoolExecutor(max_workers=1) as pool:
@@ -88,7 +88,7 @@ def figures_of(
 
 
 def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
-    """Compare row by row; leave out rows that the real scans do not have."""
+    """Compare row by row; leave out rows that are unknown for the real scans."""
     rows = []
     for name, (unit, least) in ROWS.items():
         known, own = (f.value[name][~np.isnan(f.value[name])] for f in (real, twin))
@@ -105,8 +105,8 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
 def pulls_of(rows: Sequence[Row]) -> Float[np.ndarray, " n"]:
     """Return each row's deviation in spreads; large ones are compressed logarithmically.
 
-    A few rows that no twin meets must not dominate, but a flat bound would hide which direction
-    brings them nearer: the search would stay where many rows are far off.
+    A few rows that no twin meets must not dominate, but a fixed bound would hide the direction that
+    improves these rows: the search would stop while many rows are far off.
     """
     off = np.array([row.off for row in rows])
     return _FAR_Z * np.arcsinh(off / _FAR_Z)
@@ -193,7 +193,7 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
 def _texture(scan: DepthScan) -> list[float]:
     """Return the excess of noise along rows and columns over the fine noise [%], and line noise.
 
-    They are medians over squares of smooth surfaces, as a classifier judges squares.
+    The results are medians over squares of smooth surfaces, because a classifier judges squares.
     """
     z_m = tiles(scan.depth_m, SQUARE_PX)
     mixed = second_difference(z_m)

@@ -1,11 +1,11 @@
-"""The search: which values make a cell's simulated scans have the real scans' statistics.
+"""Search for the values with which a cell's simulated scans have the real scans' statistics.
 
-Light is rendered once for each code, so a trial is exposure, noise, decoding, filters and faults
-alone. The noise is the same in every trial, so that the same search takes the same way. A code is
-no number, so each candidate has a search of its own: it begins at the best of some places and goes
-on by damped Gauss-Newton steps, as the loss is a sum of squares. Where these end in a valley before
-the code's share of the trials is spent, others begin at the next best place. The best code gets the
-trials that are left.
+Light is rendered once for each code, so a trial is only exposure, noise, decoding, filters and
+faults. The noise is the same in every trial, so that searches are reproducible. A code is not a
+number, so each candidate has its own search: it begins at the best of some places and continues
+with damped Gauss-Newton steps, because the loss is a sum of squares. If the steps end before the
+code's share of the trials is used up, new steps begin at the next best place. The best code gets
+the remaining trials.
 
 Sources: K. Levenberg, "A method for the solution of certain non-linear problems in least squares",
 1944 (damping); C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations",
@@ -47,7 +47,7 @@ _LEAST_PIXELS = 1000  # A scan without more valid pixels is not used.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A parameter's value, and between which values the scans leave it open (`reach_of`)."""
+    """A parameter's value, and the limits between which the scans leave it open (`reach_of`)."""
 
     parameter: Parameter
     value: float
@@ -57,7 +57,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """A search's end: the scanner, its parameters, its rows, and those of the start."""
+    """Result of a search: the scanner, its parameters, and its rows before and after."""
 
     scanner: Scanner
     estimates: tuple[Estimate, ...]
@@ -73,7 +73,7 @@ class Fit:
 
     @property
     def loss(self) -> float:
-        """The twin's misfit; infinite where nothing is lit."""
+        """The twin's misfit; infinite if nothing is lit."""
         return loss_of(self.after) if self.after else float("inf")
 
 
@@ -90,8 +90,8 @@ def search(
 ) -> Fit:
     """Search for the best scanner, with about `trials` trials.
 
-    The places of the first look are the start, the one laser scanner of `PARAMETERS`, and those of
-    a Sobol sequence over all ranges.
+    The places tried first are the start, the laser scanner of `PARAMETERS`, and the points of a
+    Sobol sequence over all ranges.
     """
     run = _Trials(start, lit, parameters, real, seed, trials, progress)
     x0 = shares_of(start, parameters)
@@ -129,7 +129,7 @@ def search(
 def scans_of(
     lit: Sequence[LitScene], scanner: Scanner, values: dict[str, float], *, seed: int, name: str
 ) -> Iterator[DepthScan]:
-    """Yield the twin's scans of the scenes; one in which nothing is lit is left out."""
+    """Yield the scanner's scans of the scenes, without those that have too little depth."""
     look = BinLook(
         color=values.get(BIN_COLOR, 1.0),
         gloss=values.get(BIN_GLOSS, 1.0),
@@ -142,14 +142,14 @@ def scans_of(
 
 
 def reach_of(slopes: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " n"]:
-    """Return the half-width of each parameter's interval when the others are refitted.
+    """Return the half-width of each parameter's interval if the other parameters are refitted.
 
-    It is two standard deviations of the marginal law, if each row is normal about the real one with
-    one spread, is linear in the parameters, and a parameter alone lies evenly in its range, whose
-    variance is 1/12. What no row hears has a reach of two times `sqrt(1/12)`.
+    It is two standard deviations of the marginal distribution, if each row is normal around the
+    real row with one spread and linear in the parameters, and each parameter is uniform in its
+    range (variance 1/12). A parameter that changes no row has a half-width of `2 sqrt(1/12)`.
 
     Args:
-        slopes: of each row [spreads] by each parameter, whose range is one.
+        slopes: derivative of each row [spreads] by each parameter, whose range has length 1.
     """
     precision = slopes.T @ slopes + 12 * np.eye(slopes.shape[1])
     return 2 * np.sqrt(np.diag(np.linalg.inv(precision)))
@@ -157,7 +157,7 @@ def reach_of(slopes: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " n"]:
 
 @dataclass
 class _Trials:
-    """Makes trials, counts them, and tells of each."""
+    """Maker of trials, which counts and reports them."""
 
     start: Scanner
     lit: Sequence[LitScene]
@@ -174,11 +174,11 @@ class _Trials:
 
     @property
     def done(self) -> int:
-        """Number of trials that were made."""
+        """Number of trials made so far."""
         return sum(len(places) for places in self.tried.values())
 
     def rows(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> tuple[Row, ...]:
-        """Return the rows of a place; none if nothing is lit."""
+        """Return the rows at a place; no rows if nothing is lit."""
         values = values_at(x, self.parameters)
         scanner = replace(with_values(self.start, self.parameters, values), code=code)
         scans = scans_of(self.lit, scanner, values, seed=self.seed, name="twin")
@@ -186,7 +186,7 @@ class _Trials:
         return compare(self.real, figures) if figures.scans else ()
 
     def judge(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> tuple[float, tuple[Row, ...]]:
-        """A trial: its loss and its rows."""
+        """Make a trial, unless it was made before, and return its loss and its rows."""
         tried = self.tried.setdefault(code, {})
         if x.tobytes() not in tried:
             rows = self.rows(code, x)
@@ -197,7 +197,7 @@ class _Trials:
         return tried[x.tobytes()]
 
     def best(self, code: CodeSpec) -> tuple[float, Float[np.ndarray, " n"]]:
-        """Return the least loss of a code's trials, and where it was."""
+        """Return the lowest loss of a code's trials, and the place of that trial."""
         tried = self.tried[code]
         at = min(tried, key=lambda place: tried[place][0])
         return tried[at][0], np.frombuffer(at)
@@ -205,17 +205,17 @@ class _Trials:
     def ranked(
         self, code: CodeSpec, starts: Sequence[Float[np.ndarray, " n"]]
     ) -> list[Float[np.ndarray, " n"]]:
-        """Return the places, the one with the least loss first."""
+        """Return the places in the order of their losses, lowest first."""
         return sorted(starts, key=lambda x: self.judge(code, x)[0])
 
     def pulls(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
-        """Return the residuals that the steps minimise: by how much each row is off."""
+        """Return the residuals that the steps minimise: the deviation of each row."""
         _, rows = self.judge(code, x)
         known = sum(bool(np.isfinite(value).any()) for value in self.real.value.values())
         return pulls_of(rows) if rows else np.full(known, np.sqrt(_DARK_LOSS))
 
     def slopes(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows n"]:
-        """Return the slope of each row by each parameter, with one trial for each parameter."""
+        """Return each row's slope by each parameter, from one trial per parameter."""
         here, columns = self.pulls(code, x), []
         for i, share in enumerate(x):
             lever = _LEVER if share + _LEVER <= 1 else -_LEVER
@@ -225,10 +225,10 @@ class _Trials:
         return np.stack(columns, axis=1)
 
     def descend(self, code: CodeSpec, x: Float[np.ndarray, " n"], trials: int) -> None:
-        """Take steps from a place, until `trials` are spent or no step improves.
+        """Take steps from a place until `trials` are used up or no step improves the loss.
 
-        Slopes cost a trial for each parameter, so what a step finds corrects them. Where some steps
-        after one another lead nowhere, slopes are taken anew.
+        Slopes cost a trial for each parameter, so each step's result corrects them. After some
+        successive steps without improvement, slopes are measured again.
         """
         last = self.done + trials
         while self.done + len(x) < last:

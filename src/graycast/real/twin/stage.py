@@ -27,7 +27,7 @@ _STEEP, _STEP = 0.6, 10.0  # tangents of the camera's angle of incidence
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinLook:
-    """A bin's look in terms of the configured one: factors, and what is added to its roughness."""
+    """A bin's look relative to the configured look: two factors, and a change of roughness."""
 
     color: float = 1.0
     gloss: float = 1.0
@@ -36,11 +36,11 @@ class BinLook:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LitScene:
-    """One scene's light for each code, and which pixels show the bin.
+    """One scene's light for each code, and a mask of the pixels that show the bin.
 
-    `coats` has the light if the bin had no colour of its own, only the coat over it, by how much
-    rougher than configured the coat is; it is empty where the bin has no coat. `corner_share` is
-    `optics.corner_share` at each pixel in the projector's picture, and `falloff` that projector's.
+    `coats` has the light of a bin without colour, only with its coat; the keys are additions to the
+    coat's configured roughness, and it is empty if the bin has no coat. `corner_share` is
+    `optics.corner_share` of the projector at each pixel's point; `falloff` is the projector's.
     """
 
     radiance: dict[CodeSpec, Radiance]
@@ -65,8 +65,8 @@ def light_scenes(
     """Render each scene of `restage`, all codes in one pass, and again with a black bin.
 
     Args:
-        rougher: what is added to the black bins' roughness; a bin without gloss needs none.
-        names: of the scenes, for who waits.
+        rougher: additions to the black bins' roughness; a bin without gloss needs no additions.
+        names: names of the scenes, for the progress.
     """
     rig = cell.scanner.rig
     light_codes = [replace(cell.scanner, code=code).light_code() for code in codes]
@@ -113,14 +113,14 @@ def light_scenes(
 
 
 def in_projector_corner(rig: Rig, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """`optics.corner_share` of where the projector sees each pixel's point; 0 without depth."""
+    """Return `optics.corner_share` of each pixel's point in the projector; 0 without depth."""
     point = transform_points(inverse(rig.T_cam_proj), points(rig.camera, depth_m))
     share = corner_share(rig.projector, project(rig.projector, point))
     return np.nan_to_num(np.minimum(share, 1.0)).astype(np.float32)
 
 
 def with_black_bin(scene: Scene, rougher: float) -> Scene:
-    """The scene with a bin that has no colour of its own, only its gloss, and another roughness."""
+    """Return the scene with a black bin that keeps its gloss and has `rougher` more roughness."""
     box = bin_of(scene)
     black = {
         name: replace(
@@ -138,14 +138,13 @@ def with_black_bin(scene: Scene, rougher: float) -> Scene:
 def missing_places(
     lit: Sequence[LitScene], real: Sequence[DepthScan]
 ) -> dict[str, Bool[np.ndarray, "h w"]]:
-    """Return masks in which missing depth is counted: all that real scans see, and steep sides.
+    """Return masks in which missing depth is counted: visible pixels, steep sides, blind pixels.
 
-    `visible` has the pixels at which one of the real scans has depth, and `blind` those of the bin
-    at which none has any: the light does not reach them or is too weak there. Of the sides only the
-    visible part counts, because a bin differs from its model, and its rim may hide a wall. They are
-    named by where in the picture they lie. What is steep follows from the farthest depth that any
-    of the scenes has at a pixel, so that parts hide little. All scenes must have the same camera
-    and the same bin.
+    `visible` has the pixels at which any real scan has depth, and `blind` the bin's pixels at which
+    no real scan has depth, because there is too little light. Of the sides, only the visible part
+    counts, because a bin differs from its model, and its rim may hide a wall. The sides are named
+    by their place in the picture. They are steep in the farthest depth that any scene has at a
+    pixel, so that parts hide little. All scenes must have the same camera and the same bin.
     """
     visible = np.any([scan.valid for scan in real], axis=0)
     with warnings.catch_warnings():
@@ -170,14 +169,14 @@ def missing_places(
 def scan_lit(
     lit: LitScene, scanner: Scanner, look: BinLook, *, seed: int, name: str
 ) -> DepthScan | None:
-    """Scan a scene whose bin has another look; None where nothing is lit.
+    """Scan a scene whose bin has another look; return None if nothing is lit.
 
-    The bin's own light is scaled, direct and indirect alike; what it sends to the parts is not.
-    That holds while the bin is dark. Gloss is taken to be proportional to the coat's reflectance
-    at normal incidence, which is not so where light grazes, and the light under the coat not to
-    depend on it: with half of the coat, 6 % of the light are missing. Between two coats that were
-    rendered, the light is taken to change evenly with the roughness. The projector's falloff dims a
-    pixel by what it is at the pixel's own point, also in the light that came by other surfaces.
+    All light from the bin's pixels is scaled, direct and indirect, but not the light that the bin
+    sends to the parts. That is correct while the bin is dark. Gloss is assumed to be proportional
+    to the coat's reflectance at normal incidence, which is wrong at grazing incidence, and the
+    light under the coat is assumed not to depend on the coat: with half of the coat, 6 % of the
+    light are missing. Between rendered coats, light is interpolated linearly over the roughness.
+    The projector's falloff at a pixel's own point dims all its light, even from other surfaces.
     """
     radiance = lit.radiance[scanner.named_code()]
     if look != BinLook():
@@ -214,7 +213,7 @@ def _with_look(
     is_bin: Bool[np.ndarray, "h w"],
     look: BinLook,
 ) -> Float[np.ndarray, "*n h w"]:
-    """Scale the light where the bin is visible: one factor for the base, weights for the coats."""
+    """Scale the light at the bin's pixels: one factor for the base, weights for the coats."""
     weight = _weights(sorted(coats), look)
     scaled = np.float32(look.color) * light
     for more, share in weight.items():
@@ -226,7 +225,7 @@ def _with_look(
 
 
 def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
-    """Return the weight of each coat: that of the look, less the one in the light."""
+    """Return the weight of each coat: its weight in the look, minus the one in the light."""
     return {
         more: look.gloss * float(np.interp(look.rougher, rougher, own))
         - look.color * float(np.interp(0.0, rougher, own))
@@ -235,7 +234,7 @@ def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
 
 
 def _bin_pixels(scene: Scene, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of what is no part and is above the table, within the bin's outline."""
+    """Return a mask of the pixels without a part and within the bin's outline."""
     point_cam = points(scene.rig.camera, truth.depth_m).reshape(-1, 3)
     point = transform_points(scene.T_world_cam, point_cam)
     box = bin_of(scene)

@@ -32,10 +32,10 @@ def files_of(out: Path) -> tuple[Path, Path, Path]:
 
 
 def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
-    """Write all four; nothing is written over.
+    """Write configuration, rig, report and picture, without overwriting any file.
 
     Raises:
-        GraycastError: a file is there already, or cannot be written.
+        GraycastError: a file exists already, or cannot be written.
     """
     rig, report, picture = files_of(out)
     named = replace(twin.fit.scanner.rig, name=f"{cell.scanner.rig.name}-twin")
@@ -98,7 +98,7 @@ def report_text(twin: Twin) -> str:
 
 
 def summary(twin: Twin) -> list[str]:
-    """Return the twin in a few lines."""
+    """Return a few lines that describe the twin."""
     fit = twin.fit
     lines = [
         f"statistics met: {_met(fit.before)} of {len(fit.before)} as configured, "
@@ -115,7 +115,7 @@ def summary(twin: Twin) -> list[str]:
 
 
 def draw_twin(twin: Twin, path: Path) -> None:
-    """Draw real, configured and twin scans side by side, and the misfit of each statistic below."""
+    """Draw a real, a configured and a twin scan side by side, and each statistic's misfit below."""
     figure = Figure(figsize=(15, 11), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=[1, 1.2])
     known = np.concatenate([s.depth_m[s.valid] for s in twin.examples])
@@ -164,7 +164,7 @@ def _mean(auc: Mapping[str, Auc], place: str) -> str:
 
 
 def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
-    """Return the bin's section with the colours and the coat that were fitted."""
+    """Return the bin's section with the fitted colours and coat; nothing without such a fit."""
     color, gloss = (fit.values.get(key) for key in (BIN_COLOR, BIN_GLOSS))
     if color is None:
         return {}

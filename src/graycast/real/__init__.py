@@ -1,17 +1,17 @@
-"""Data of a real scanner, and datasets that others made.
+"""Data of real scanners, and third-party datasets.
 
-Each imports only from those above it:
+Each module imports only from modules above it:
 
     calibrate      a rig from pictures of a board
     depth_file     depth maps, pictures and camera matrices from files of any scanner
-    depth_sense    whether depth can be what it is given for
+    depth_sense    checks of depth: unit, filled holes, z or ray lengths
     depth_solid    a depth map as a solid for a scene: surface, edges, sides
     fitted_config  a configuration in which some keys are replaced by fitted values
-    picture_pairs  colour, brightness and depth of one picture, paired by the names of their files
-    realism        what real depth has and perfect depth lacks, in figures
+    picture_pairs  colour, brightness and depth of one picture, paired by file names
+    realism        statistics of real depth that perfect depth lacks
     fit_bin        pose, colours and light of a real bin
     import_real    real pictures with labels, as a dataset
     material       base colour, roughness and kind of a surface from one scan
-    rescan         scanner depth for the perfect depth of datasets that others made
+    rescan         scanner depth for third-party datasets with perfect depth
     twin           a scanner whose simulated scans have the statistics of real ones
 """

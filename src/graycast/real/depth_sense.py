@@ -97,7 +97,7 @@ def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
     Leaves out: pictures without a plane, and narrow views with much noise, decide nothing.
 
     Args:
-        depths_m: z or lengths [m], NaN where there is none, of the size of the optics.
+        depths_m: maps of z or ray lengths [m], of the optics' size; NaN where there is none.
     """
     rng = np.random.default_rng(0)  # samples pixels; the result hardly depends on the seed
     ray = picture_rays(optics).reshape(-1, 3)
@@ -118,7 +118,7 @@ def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
 def _on_plane(
     ray: Float[np.ndarray, "n 3"], inverse: Float[np.ndarray, " n"], rng: np.random.Generator
 ) -> int:
-    """Return how many pixels lie on the plane with the most of them; `inverse` is 1 / z."""
+    """Return the number of pixels on the plane that fits most of them; `inverse` is 1 / z."""
     three = rng.integers(0, len(ray), (_PLANES, 3))
     corners = ray[three]
     planes = np.flatnonzero(np.abs(np.linalg.det(corners)) > 1e-6)

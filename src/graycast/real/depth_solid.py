@@ -1,4 +1,4 @@
-"""Solid from a depth map: its surface on top, and sides that follow the camera's rays down.
+"""Solid from a depth map, with the surface on top and sides that follow the camera's rays down.
 
 The camera does not see the sides, and no light passes below the surface. The solid has no bottom,
 because it is never seen from below.

@@ -1,4 +1,4 @@
-"""A rig from pictures of a board in several poses, the projector as an inverse camera."""
+"""Calibration of a rig from pictures of a board; the projector counts as an inverse camera."""
 
 from .board import parse_board
 from .calibration import calibrate_rig, describe_calibration

@@ -59,7 +59,7 @@ def import_real(
         files: facts that the files do not state; the pictures stay distorted.
         annotations: a COCO file or a folder of LabelMe files; None means `folder/annotations`.
         labelled: False imports pictures without annotations; the dataset then has no masks.
-        names: the objects' names in the order of their ids, such as those of a simulated dataset.
+        names: names of the objects in the order of their ids, for example of a simulated dataset.
         range_m: near and far end of the working range of a similar scanner; depth far outside of
             that range is refused.
         progress: meter for the number of pictures.

@@ -62,7 +62,7 @@ class DepthScan:
     def jump_share(self) -> float:
         """Share of its depth by which a pixel on another surface must differ from its neighbour.
 
-        It is `JUMP_FOOTPRINTS` times z / f, the width of a pixel on a facing surface, over z.
+        It is `JUMP_FOOTPRINTS` / f, because a pixel on a facing surface is z / f wide.
         """
         return float(JUMP_FOOTPRINTS / np.sqrt(self.K[0, 0] * self.K[1, 1]))
 

@@ -92,12 +92,12 @@ class Source:
         parts: the objects by their ids, in metres and with their look; empty without models.
         plain: the ids of parts whose look nothing states: they are grey.
         image_of: function that reads an image of a scene; it can be pickled for workers.
-        sensor: the camera that is read, "" where the dataset has only one; its files end in
-            `_sensor`.
+        sensor: name of the camera, with which its files end; "" if the names of files have no
+            such end.
         scenes: the folders of scenes in BOP's form, by their numbers, to whose files the result may
             link; empty in another layout.
-        background: the material of what is no object; with None, it looks as the pictures do.
-        notes: sentences about what was found out, or looks wrong.
+        background: material of everything that is no object; None takes the pictures' look.
+        notes: sentences about findings and about things that look wrong.
         options: the options used to open the dataset.
     """
 

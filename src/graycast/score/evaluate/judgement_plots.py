@@ -230,7 +230,7 @@ def _mask_of(
 
 
 def _window(box: Float[np.ndarray, "4"], size_px: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of a square around a box, cut off where the picture ends."""
+    """Return the sides of a square around a box, cut off where the picture ends."""
     side = max(box[2], box[3]) * (1 + 2 * _MARGIN)
     half = max(side, _LEAST_PX) / 2
     x, y = box[0] + box[2] / 2, box[1] + box[3] / 2

@@ -22,15 +22,15 @@ class Labels:
     """The instances of one picture of which something is visible.
 
     Attributes:
-        scene_id: the number of the picture in its dataset: the scene's, where it has one picture.
+        scene_id: the number of the picture in its dataset: the scene's if it has one picture.
         scene: the scene that the picture is of.
         size_px: height and width of the picture; None where the example held no picture.
         obj_id: object id of each instance.
         box_px: [x, y, columns, rows] of the visible masks, as detections have them.
-        mask: what is visible of each, as compressed run lengths; None where nobody drew masks.
+        mask: visible mask of each instance, as compressed run lengths; None without masks.
         ignored: too hidden to count: it need not be found, and a detection there is no mistake.
-        visib_fract: visible share of each silhouette; None where nobody knows it.
-        missing: share of each visible mask where the scanner has no depth; None where nobody knows.
+        visib_fract: visible share of each silhouette; None if unknown.
+        missing: share of each visible mask where the scanner has no depth; None if unknown.
         instance: places in the dataset's `scene_gt.json`; None where there is no such file.
     """
 

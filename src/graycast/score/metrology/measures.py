@@ -176,7 +176,7 @@ def depth_error_m(error_m: Float[np.ndarray, " n"]) -> float:
 
 
 def point_spacing_m(point: Float[np.ndarray, "h w 3"], where: Bool[np.ndarray, "h w"]) -> float:
-    """Median distance between the points of neighbouring pixels, across the camera's axis.
+    """Return the median distance between points of neighbouring pixels, across the camera's axis.
 
     Their difference in depth is left out: on a facing plane it is noise. NaN where no two
     neighbours count.

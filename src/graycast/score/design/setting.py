@@ -189,7 +189,7 @@ def _refuse_out_of_range(
 
 
 def lights_of(placed: tuple[Placed, ...]) -> tuple[tuple[Placed, ...], ...]:
-    """Groups of settings that differ only in code and exposure, which share one rendering."""
+    """Return groups of settings with one rendering: only code and exposure differ."""
     groups: dict[tuple[object, ...], list[Placed]] = {}
     for one in placed:
         groups.setdefault(astuple(one.setting.lit), []).append(one)

@@ -52,7 +52,7 @@ def joined(parts: Sequence[SurfaceCoverage]) -> SurfaceCoverage:
 def surface_figures(
     parts: SurfaceCoverage, names: Sequence[str], reason_name: dict[int, str]
 ) -> dict[str, Any]:
-    """Shares of the surface that at least one camera sees; `best_order` is the greedy one."""
+    """Return shares of the surface that any camera sees; `best_order` is the greedy one."""
     has, places = parts.has, max(parts.why.shape[1], 1)
     some = has.any(axis=0)
     names_of = reason_name | OWN_NAMES

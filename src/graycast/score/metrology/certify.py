@@ -303,7 +303,7 @@ def _block_means(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "bh bw"]:
 def _sphere_points(
     lab: Lab, shots: Shots, centre_m: Float[np.ndarray, "n 3"], radius_m: float
 ) -> list[Float[np.ndarray, "_ 3"]]:
-    """The measured points of each sphere, up to `STEEPEST_DEG`, by the truth of their pixels."""
+    """Return each sphere's measured points, up to `STEEPEST_DEG`, by the truth of their pixels."""
     with np.errstate(invalid="ignore"):  # NaN: no surface
         good = shots.where & (incidence_rad(lab, shots) <= math.radians(STEEPEST_DEG))
     good &= np.isfinite(shots.depth_m[0])

@@ -197,7 +197,7 @@ def blur(lab: Lab) -> tuple[BlurResult, ...]:
 
 
 def fields_m(lab: Lab) -> dict[str, tuple[float, float]]:
-    """Width and height of the common rectangle at the near end, the middle and the far end."""
+    """Return the common rectangle's width and height at the near end, middle and far end."""
     fields = {}
     for name, share in (("near", 0.0), ("middle", 0.5), ("far", 1.0)):
         field = common_rectangle_m(lab.rig, lab.volume.depth_m(share))

@@ -2,8 +2,8 @@
 
 python -m studies.known_materials out/known
 
-Each scan shows a heap of 20 built-in metal parts with the preset in a matt grey bin, whose reflectance of 0.5 is
-the reference. A folder that exists is continued.
+Each scan shows a heap of 20 built-in metal parts with the preset in a matt grey bin, whose
+reflectance of 0.5 is the reference. A folder that exists is continued.
 """
 
 import argparse

@@ -50,8 +50,9 @@ def noisy(depth_m):
 
 def solid(depth_m, *, smooth=True, camera=CAMERA):
     everywhere = np.ones(depth_m.shape, dtype=bool)
-    shading = smooth_slopes(depth_m, everywhere, ROUNDS) if smooth else None
-    return solid_of(surfaces(depth_m, everywhere, ROUNDS), depth_m, camera, shading=shading)
+    planes = surfaces(depth_m, everywhere, ROUNDS)
+    shading = smooth_slopes(depth_m, planes, ROUNDS[-1][2]) if smooth else None
+    return solid_of(planes, depth_m, camera, shading=shading)
 
 
 def is_top(mesh):

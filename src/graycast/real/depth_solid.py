@@ -42,24 +42,33 @@ def surfaces(
     surface of the round before have lower weights, so that edges stay sharp.
     """
     value = np.where(solid, 1 / np.where(solid, depth_m, 1.0), np.nan)
-    fitted = np.zeros((*solid.shape, _TERMS))
-    fitted[..., 0] = value
+    start = np.zeros((*solid.shape, 3))
+    start[..., 0] = value
+    return _refined(value, start, rounds)
+
+
+def smooth_slopes(depth_m: Float[np.ndarray, "h w"], planes: Planes, near_m: float) -> Planes:
+    """Return surfaces after two more rounds, over 7 x 7 and 13 x 13 pixels.
+
+    Their slopes are meant for shading, because noise makes them less uneven. The fits are planes,
+    which noise tilts less at the rim of a surface than paraboloids. Pixels across a step over three
+    times as high as `near_m` do not count; a much lower step is smoothed.
+
+    Args:
+        planes: the result of `surfaces` for this depth.
+        near_m: the distance within which a pixel belongs to a surface.
+    """
+    value = np.where(np.isfinite(planes[..., 0]), 1 / depth_m, np.nan)
+    return _refined(value, planes, ((3, 3, near_m), (_SHADING_PX, 3, near_m)))
+
+
+def _refined(value: Float[np.ndarray, "h w"], planes: Planes, rounds: Rounds) -> Planes:
+    """Return the planes after some rounds of fits to inverse depth."""
+    fitted = np.zeros((*value.shape, _TERMS))
+    fitted[..., :3] = planes
     for radius, terms, near_m in rounds:
         fitted = _fitted(value, fitted, radius, terms, near_m)
     return fitted[..., :3].copy()
-
-
-def smooth_slopes(
-    depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], rounds: Rounds
-) -> Planes:
-    """Return the result of `surfaces` after two more rounds, over 7 x 7 and 13 x 13 pixels.
-
-    Its slopes are meant for shading, because noise makes them less uneven. The fits are planes,
-    which noise tilts less at the rim of a surface than paraboloids. Pixels across a step over three
-    times as high as the last round's distance do not count; a much lower step is smoothed.
-    """
-    near_m = rounds[-1][2]
-    return surfaces(depth_m, solid, (*rounds, (3, 3, near_m), (_SHADING_PX, 3, near_m)))
 
 
 @kernel(parallel=True)

@@ -215,7 +215,7 @@ def _background(
         ndimage.maximum_filter(np.where(solid, depth_m, 0.0), _AROUND_PX),
         image.camera,
         step_m=max(STEP_M, _SLOPE * pixel_m),
-        shading=smooth_slopes(depth_m, solid, rounds),
+        shading=smooth_slopes(depth_m, planes, rounds[-1][2]),
     )
     if material is None:
         material = _GREY

@@ -123,6 +123,36 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
         "Scan datasets of ours again without their scanner depth: docs/how-to/rescan.md.",
         [number("--scenes", 4, "The number of scenes of each cell")],
     ),
+    "reenact": (
+        "Simulate a real scan on its own surface: docs/measurements/reenactment.md.",
+        [
+            of("stack", type=Path, help="The stack file of the scan."),
+            file("--rig", "The rig file of the scan.", required=True),
+            of(
+                "--mask",
+                type=Path,
+                nargs="+",
+                required=True,
+                dest="masks",
+                metavar="PNG",
+                help="A mask of each material; all other pixels are one more material.",
+            ),
+            of(
+                "--reflectance",
+                type=float,
+                metavar="SHARE",
+                help="The reflectance of all other pixels, if they show a matt surface.",
+            ),
+            of(
+                "--out",
+                type=Path,
+                required=True,
+                metavar="FOLDER",
+                help="A folder for the simulated stack and for a picture of both.",
+            ),
+            number("--samples", 128, "The number of light paths per pixel"),
+        ],
+    ),
     "live": (
         "Measure the response times of graycast live: docs/measurements/live.md.",
         [

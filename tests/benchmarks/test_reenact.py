@@ -1,0 +1,46 @@
+"""A simulated scan, whose materials are known, is re-enacted."""
+
+import cv2
+import numpy as np
+import pytest
+
+import graycast as gc
+from benchmarks import reenact
+
+MATT = {"base_color": (0.5,) * 3, "specular": 0.0, "roughness": 1.0}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    out = tmp_path_factory.mktemp("scan") / "bin"
+    config = gc.Config(
+        parts=(gc.PartSection(builtin="metal_workpiece_1", material="plastic"),),
+        count=16,
+        rig="like-phoxi-m",
+        resolution="small",
+        bin={"inner_m": (0.30, 0.22, 0.06), "material": MATT},
+        table=MATT,
+        store={"frames": True},
+        render={"denoise": False},
+        exposure={"factors": (1.0,)},
+    )
+    gc.generate(gc.load_cell(config), out, scenes=1, seed=5)
+    return out / "train" / "000000"
+
+
+@pytest.mark.slow
+def test_a_simulated_scan_is_predicted_from_its_own_depth(scene, tmp_path):
+    """The percentiles of the light show a wrong material, normal, or vignetting."""
+    masks = [cv2.imread(str(path), 0) for path in (scene / "mask_sl").glob("*.png")]
+    cv2.imwrite(str(tmp_path / "parts.png"), np.max(masks, axis=0))
+    stack, rig = scene / "frames" / "stack.yaml", scene / "frames" / "rig.yaml"
+    figures = reenact.measure(
+        stack, rig, [tmp_path / "parts.png"], 0.5, tmp_path / "out", 32, lambda text: None
+    )
+    parts, rest, _ = figures["rows"]
+    assert abs(parts["roughness"] - 0.5) < 0.02 and abs(parts["color"] - 0.3) < 0.015
+    for row in (parts, rest):
+        assert row["median error %"] < 8
+        np.testing.assert_allclose(*row["percentiles"], rtol=0.06)
+    assert rest["rank"] > 0.9  # Speckle hides the small differences between the parts' faces.
+    assert (tmp_path / "out" / "reenactment.png").stat().st_size > 20_000

@@ -22,6 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 from scipy.stats import spearmanr
 
 from graycast.base.errors import DecodeError
@@ -57,8 +58,7 @@ PERCENTILES = (1, 10, 25, 50, 75, 90, 99)
 OFF_PX = 2.0  # A point that is farther from its epipolar line contradicts itself.
 BLACK = 1.0  # percentile of the darkest picture that is the black level
 BOUNCES = 6
-AROUND_PX = 8  # Depth within this distance of a saturated area shows its plane.
-TRIALS, PLANE_SHARE = 300, 5e-4  # sampled planes; distance of their pixels as a share of depth
+GRAIN_PX = 7  # side of the windows of local medians
 Mask = Bool[np.ndarray, "h w"]
 
 
@@ -85,15 +85,10 @@ class Pictures:
         return self.scan.result.depth
 
     @cached_property
-    def surface_m(self) -> Float[np.ndarray, "h w"]:
-        """Depth in which saturated areas continue the largest plane around them."""
-        return _with_saturated(self.depth.depth_m.astype(np.float64), self.scan.result.codes.reason)
-
-    @cached_property
     def normal(self) -> Float[np.ndarray, "h w 3"]:
         """The normals to which materials are fitted; NaN where they are unknown."""
-        known = np.isfinite(self.surface_m)
-        return smooth_normals(self.scan.scanner.rig.camera, self.surface_m, known).normal
+        known = np.isfinite(self.scan.surface_m)
+        return smooth_normals(self.scan.scanner.rig.camera, self.scan.surface_m, known).normal
 
 
 def measure(
@@ -167,7 +162,7 @@ def staged(
     """Build the scene of a scan, whose surface is divided into the materials of the regions."""
     image = SourceImage(
         camera=real.scan.scanner.rig.camera,
-        depth_m=real.surface_m,
+        depth_m=real.scan.surface_m,
         rgb=None,
         obj_id=np.zeros(0, dtype=np.int64),
         T_cam_part=np.zeros((0, 4, 4)),
@@ -242,15 +237,18 @@ def acted(
 def compared(real: Pictures, own: Pictures, mask: Mask) -> Figures:
     """Return figures of the real (left) and the simulated stack (right) inside a mask.
 
-    The white picture is compared where depth and normal are known. Shares are percentages.
+    The white picture is compared where depth and normal are known. Its median relative error and
+    its rank correlation have three values: for single pixels, for the local medians of both
+    pictures, and for the real picture against its own local medians, which no model without the
+    grain itself can surpass. Shares are percentages.
     """
     known = mask & np.isfinite(real.normal[..., 0])
     light = [one.white[known] for one in (real, own)]
-    error = np.abs(light[1] - light[0]) / np.maximum(light[0], 1.0)
+    calm = [ndimage.median_filter(one.white, GRAIN_PX)[known] for one in (real, own)]
     figures: Figures = {
         "known %": 100 * float(known.sum() / mask.sum()),
-        "median error %": 100 * float(np.median(error)),
-        "rank": float(spearmanr(*light).statistic),
+        "error %": [_median_error(*both) for both in (light, calm, (light[0], calm[0]))],
+        "rank": [_rank(*both) for both in (light, calm, (light[0], calm[0]))],
         "percentiles": [
             (np.percentile(one, PERCENTILES) / np.median(one)).round(2).tolist() for one in light
         ],
@@ -259,9 +257,17 @@ def compared(real: Pictures, own: Pictures, mask: Mask) -> Figures:
     return figures | {name: [pair[name] for pair in pairs] for name in pairs[0]}
 
 
+def _median_error(true: np.ndarray, own: np.ndarray) -> float:
+    return round(100 * float(np.median(np.abs(own - true) / np.maximum(true, 1.0))), 1)
+
+
+def _rank(true: np.ndarray, own: np.ndarray) -> float:
+    return round(float(spearmanr(true, own).statistic), 3)
+
+
 def draw(real: Pictures, own: Pictures, path: Path) -> None:
     """Draw both white pictures, both depths, and the errors of the white picture."""
-    height, width = real.surface_m.shape
+    height, width = real.scan.surface_m.shape
     figure, axes = plain_figure(10.0, 15.0 * height / width + 1.5, [1, 1], rows=3)
     depths = [1e3 * one.depth.depth_m for one in (real, own)]
     span = dict(zip(("vmin", "vmax"), np.nanpercentile(depths[0], [1, 99]), strict=True))
@@ -326,44 +332,6 @@ def contrasts_of(one: Pictures, mask: Mask) -> dict[str, float]:
 
 
 # --- surface -------------------------------------------------------------------------------------
-
-
-def _with_saturated(
-    depth_m: Float[np.ndarray, "h w"], reason: np.ndarray
-) -> Float[np.ndarray, "h w"]:
-    unknown = np.isnan(depth_m)
-    saturated = (reason == Reason.SATURATED) & unknown
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * AROUND_PX + 1,) * 2)
-    count, label = cv2.connectedComponents(
-        cv2.morphologyEx(saturated.astype(np.uint8), cv2.MORPH_CLOSE, disc)
-    )
-    filled = depth_m.copy()
-    for number in range(1, count):
-        area = (label == number).astype(np.uint8)
-        around = (cv2.dilate(area, disc) > 0) & ~unknown
-        plane = _largest_plane(1 / depth_m[around], np.argwhere(around))
-        wanted = saturated & (area > 0)
-        if plane is not None:
-            filled[wanted] = 1 / (np.argwhere(wanted) @ plane[:2] + plane[2])
-    return filled
-
-
-def _largest_plane(
-    inverse_m: Float[np.ndarray, " n"], pixel: np.ndarray
-) -> Float[np.ndarray, "3"] | None:
-    """Return a, b, c of the plane `1/z = a row + b column + c` on which most pixels are."""
-    rng = np.random.default_rng(0)
-    design = np.column_stack([pixel, np.ones(len(pixel))])
-    best = np.zeros(len(pixel), dtype=bool)
-    for _ in range(TRIALS if len(pixel) >= 3 else 0):
-        pick = rng.choice(len(pixel), 3, replace=False)
-        if abs(np.linalg.det(design[pick])) > 1:
-            plane = np.linalg.solve(design[pick], inverse_m[pick])
-            inside = np.abs(design @ plane / inverse_m - 1) < PLANE_SHARE
-            best = max(best, inside, key=np.count_nonzero)
-    if best.sum() < 3:
-        return None
-    return np.linalg.lstsq(design[best], inverse_m[best], rcond=None)[0]
 
 
 def _with_normals(mesh: Mesh, normal: Float[np.ndarray, "h w 3"], camera: Optics) -> Mesh:

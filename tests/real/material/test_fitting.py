@@ -78,6 +78,20 @@ def test_color_of_metal_is_not_determined_without_a_scale(cpu_device, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_saturated_highlight_does_not_make_metal_rougher(cpu_device):
+    """A third of the pixels are saturated; as exact values, they would flatten the highlight."""
+    pixels = lit(heap(2000, widest_rad=0.4, seed=3), surface("metal", 0.7, 0.3))
+    limit = float(np.quantile(pixels.light, 0.67))
+    names = {name: getattr(pixels, name) for name in pixels.__slots__}
+    names["light"] = np.minimum(pixels.light, limit)
+    believed = fit_material(Reflections(**names), scale=SCALE, seed=0)
+    names["clipped"] = pixels.light > limit
+    fit = fit_material(Reflections(**names), scale=SCALE, seed=0)
+    assert fit.roughness.value == pytest.approx(0.3, abs=0.02)
+    assert believed.roughness.value > 0.35
+
+
+@pytest.mark.slow
 def test_a_surface_under_one_angle_has_no_roughness(cpu_device):
     pixels = lit(heap(800, widest_rad=0.01, seed=3), surface("plastic", 0.5, 0.5))
     fit = fit_material(pixels, scale=SCALE, seed=0)

@@ -77,3 +77,13 @@ def test_a_clipped_pixel_and_a_pixel_outside_the_mask_are_told_apart(ball):
     observed = observe(rig, codes_of(depth_m, mark), depth_m, white, LEVELS, mask=mask)
     assert 0 < len(observed) <= 400
     assert observed.clipped.sum() == 50
+
+
+def test_a_saturated_pixel_with_a_surface_counts_as_clipped(ball):
+    rig, depth_m, white = ball
+    reason = codes_of(depth_m).reason.copy()
+    reason[55:60, 75:85] = Reason.SATURATED
+    codes = replace(codes_of(depth_m), reason=reason)
+    observed = observe(rig, codes, depth_m, white, LEVELS)
+    assert observed.clipped.sum() == 50
+    assert len(observed) == len(observe(rig, codes_of(depth_m), depth_m, white, LEVELS))

@@ -1,6 +1,7 @@
 """The surface of real parts from one scan: base colour, metal or plastic, and roughness.
 
 normals         smooth normals of a depth map
+saturated       the surface in saturated areas
 observing       directions and direct light of each pixel
 scan            the observations of a stack of pictures
 surface_model   the light that the renderer's BSDF predicts, and its likelihood

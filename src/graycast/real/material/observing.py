@@ -69,13 +69,13 @@ def observe(
     mask: Bool[np.ndarray, "h w"] | None = None,
     exposure: Float[np.ndarray, "h w"] | float = 1.0,
 ) -> Reflections:
-    """Return the observations of the decoded pixels in a mask.
+    """Return the observations of the decoded and the saturated pixels in a mask.
 
     Args:
         depth_m: depth of each pixel; NaN where there is none.
         direct: the projector's direct light under a white picture [DN above offset]. It excludes
             light that is reflected repeatedly, unless that light has stripes itself, as in mirrors
-            (see `camera.decode.separate`).
+            (see `camera.decode.separate`). Saturated pixels have the least light that saturates.
         mask: the pixels of one surface; None is all pixels.
         exposure: each pixel's exposure relative to a common exposure.
     """
@@ -83,13 +83,14 @@ def observe(
     inside = np.ones(shape, dtype=bool) if mask is None else mask
     normals = smooth_normals(rig.camera, depth_m, inside)
     noise = np.sqrt(2 * (levels.floor_dn2 + levels.slope_dn * np.maximum(direct, 0)))
-    keep = inside & np.isfinite(normals.sigma_rad) & (codes.reason == Reason.DECODED)
+    saturated = codes.reason == Reason.SATURATED
+    keep = inside & np.isfinite(normals.sigma_rad) & (saturated | (codes.reason == Reason.DECODED))
     keep &= (normals.sigma_rad <= MOST_NORMAL_SIGMA_RAD) & (direct > SURE_SIGMAS * noise)
     point_m = mask_points(rig.camera, depth_m, keep)
     factor = np.broadcast_to(exposure, shape)[keep] * relative_illumination(rig.camera)[keep]
     factor = factor * _irradiance(rig, point_m)
     mark = codes.mark
-    clipped = np.zeros(shape, dtype=bool) if mark is None else (mark & Mark.CLIPPED) > 0
+    clipped = saturated if mark is None else saturated | ((mark & Mark.CLIPPED) > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         observations = Reflections(
             normal=normals.normal[keep],

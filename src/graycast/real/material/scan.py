@@ -15,22 +15,29 @@ from ...camera.stack import StackResult, decode_stack, read_description
 from ...dataset.raw import EXPOSURE, read_capture
 from ...dataset.safe_reading import Unreadable, read_mask
 from .observing import Reflections, observe
+from .saturated import continue_planes
 
-MOST_SATURATED = 0.3  # A surface of which a larger share is saturated is refused.
+MOST_SATURATED = 0.5  # A surface of which a larger share is saturated is refused.
 LEAST_MEASURED = 0.3  # A rig with which a smaller share of the decoded pixels has depth is refused.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaterialScan:
-    """A decoded stack, its scanner, and the relative exposure of its pixels."""
+    """A decoded stack, its scanner, and the relative exposure of its pixels.
+
+    `surface_m` is depth that saturated areas have as well, see `saturated.continue_planes`.
+    """
 
     path: Path
     result: StackResult
     scanner: Scanner
+    surface_m: Float[np.ndarray, "h w"]
     exposure: Float[np.ndarray, "h w"] | float
 
     def observations(self, mask: Bool[np.ndarray, "h w"] | None = None) -> Reflections:
         """Return the observations of the pixels in a mask; None is all pixels.
+
+        A saturated pixel counts as at least as bright as the range, if its surface is known.
 
         Raises:
             GraycastError: the mask has another size, a large part of the surface is saturated, or
@@ -60,13 +67,18 @@ class MaterialScan:
                 f"{self.path}: the code cannot separate the projector's direct light, which needs "
                 "phases, or narrow stripes with their inverses: scan with such a code"
             )
-        assert result.depth is not None
+        direct, indirect = (light.astype(np.float64) for light in result.light)
+        levels, decoded = result.levels.levels, inside & (codes.reason == Reason.DECODED)
+        bright = codes.reason == Reason.SATURATED
+        if decoded.any():
+            white = np.maximum((direct + indirect)[decoded], 1e-9)
+            direct[bright] = np.median(direct[decoded] / white) * levels.range_dn
         return observe(
             self.scanner.rig,
             codes,
-            result.depth.depth_m,
-            result.light[0],
-            result.levels.levels,
+            self.surface_m,
+            direct,
+            levels,
             mask=mask,
             exposure=self.exposure,
         )
@@ -97,7 +109,14 @@ def open_scan(path: Path, scanner: Scanner | None = None) -> MaterialScan:
             f"{stack}: with rig {scanner.rig.name}, only {share:.0%} of the decoded pixels have a "
             "depth: give the rig of this scan, or scan within its working range"
         )
-    return MaterialScan(path=stack, result=result, scanner=scanner, exposure=_exposure(stack))
+    depth_m = result.depth.depth_m.astype(np.float64)
+    return MaterialScan(
+        path=stack,
+        result=result,
+        scanner=scanner,
+        surface_m=continue_planes(depth_m, result.codes.reason == Reason.SATURATED),
+        exposure=_exposure(stack),
+    )
 
 
 def read_masks(paths: Sequence[Path]) -> Bool[np.ndarray, "h w"]:

@@ -113,18 +113,18 @@ def measure(
     scanner = load_scanner(rig)
     real = opened(stack, scanner)
     regions = {path.stem: read_masks([path]) for path in masks}
-    judged = np.logical_or.reduce([*regions.values()])
-    regions[REST] = ~judged
+    masked = np.logical_or.reduce([*regions.values()])
+    regions[REST] = ~masked
     fits = fitted(real.scan, regions, reflectance, show)
     scene, layout = staged(real, regions, {name: fit.material for name, fit in fits.items()})
-    folder = acted(real, scene, layout, judged, out / "stack", samples, show)
+    folder = acted(real, scene, layout, masked, out / "stack", samples, show)
     own = opened(folder, scanner)
     draw(real, own, out / "reenactment.png")
     rows = [
         {"material": name, **_described(fits[name]), **compared(real, own, mask)}
         for name, mask in regions.items()
     ]
-    rows.append({"material": ALL, **compared(real, own, judged)})
+    rows.append({"material": ALL, **compared(real, own, masked)})
     contrasts = [
         {"material": name, "stack": kind, **contrasts_of(one, mask)}
         for name, mask in regions.items()
@@ -190,7 +190,7 @@ def acted(
     real: Pictures,
     scene: Scene,
     layout: Layout,
-    judged: Mask,
+    masked: Mask,
     folder: Path,
     samples: int,
     show: Show,
@@ -217,8 +217,8 @@ def acted(
         read_noise_e=float(np.sqrt(levels.floor_dn2)) / gain,
         full_well_e=2 * levels.saturation_dn / gain,  # The stored number saturates first.
     )
-    own = float(np.median(radiance.pattern[result.code.brightest][judged]))
-    wanted_e = float(np.median(real.white[judged])) / gain
+    own = float(np.median(radiance.pattern[result.code.brightest][masked]))
+    wanted_e = float(np.median(real.white[masked])) / gain
     exposure_s = wanted_e / (sensor.responsivity * own)
     scanner = replace(scanner, sensor=sensor, exposure=ExposureSpec(exposure_s=exposure_s))
     capture = take(scanner, radiance, seed=0)
@@ -282,9 +282,9 @@ def draw(real: Pictures, own: Pictures, path: Path) -> None:
     )
     for ax, (title, picture, own_look) in zip(axes, panels, strict=False):
         ax.grid(visible=False)
-        shown = ax.imshow(picture, interpolation="nearest", **own_look)
+        drawing = ax.imshow(picture, interpolation="nearest", **own_look)
         caption(ax, title, "")
-        figure.colorbar(shown, ax=ax, fraction=0.02, pad=0.01)
+        figure.colorbar(drawing, ax=ax, fraction=0.02, pad=0.01)
     both = np.isfinite(real.normal[..., 0]) & (real.white > 1) & (own.white > 1)
     light = [np.log10(one.white[both]) for one in (real, own)]
     axes[-1].hexbin(*light, gridsize=80, bins="log", cmap="Greys", mincnt=1)
@@ -355,11 +355,11 @@ def _pixels_of(points_m: Float[np.ndarray, "n 3"], camera: Optics) -> tuple[np.n
     )
 
 
-def _faces_of(mesh: Mesh, kept: Bool[np.ndarray, " f"]) -> Mesh:
-    used, faces = np.unique(mesh.faces[kept], return_inverse=True)
+def _faces_of(mesh: Mesh, own: Bool[np.ndarray, " f"]) -> Mesh:
+    used, faces = np.unique(mesh.faces[own], return_inverse=True)
     normals = mesh.corner_normals
     return Mesh(
         vertices_m=mesh.vertices_m[used],
         faces=faces.reshape(-1, 3),
-        corner_normals=None if normals is None else normals[kept],
+        corner_normals=None if normals is None else normals[own],
     )

@@ -8,10 +8,11 @@ import pytest
 import trimesh
 from backends import slow
 
+from graycast.base.errors import ConfigError
 from graycast.base.frames import UNITS_M
 from graycast.cell.config import load_config
 from graycast.cell.framing import SCANNERS, best_framing, bin_share, part_width_px
-from graycast.cell.new_cell import bin_for, framing_text, new_cell
+from graycast.cell.new_cell import bin_for, fitted_surface, framing_text, new_cell
 from graycast.cell.resolve import resolve_cell
 from graycast.cli.command import main
 from graycast.world.parts import MATERIALS, builtin_part
@@ -57,6 +58,49 @@ def test_a_new_cell_is_read_with_the_values_that_were_written(tmp_path, monkeypa
     least, most = config.count
     full = 0.5 * 0.3 * 0.22 * 0.11 / (0.02 * 0.03 * 0.06)
     assert most == round(round(full) / 3) and least == most // 2
+
+
+FITTED = """\
+# Fitted to scan: 3000 pixels.
+base_color: [0.41, 0.41, 0.41]  # 0.39 to 0.43
+metallic: 1.0
+roughness: 0.44  # 0.42 to 0.46
+"""
+
+
+def test_a_fitted_surface_is_in_the_cell_with_its_intervals(tmp_path):
+    (tmp_path / "fit.yaml").write_text(FITTED)
+    part, surface = builtin_part("toothpaste"), fitted_surface(tmp_path / "fit.yaml")
+    text = new_cell("cell", part, {"builtin": "toothpaste"}, surface=surface)
+    (tmp_path / "cell.yaml").write_text(text)
+    cell = resolve_cell(load_config(tmp_path / "cell.yaml"), tmp_path)
+    material = cell.scene.parts[0].material
+    assert (material.base_color, material.metallic, material.roughness) == ((0.41,) * 3, 1.0, 0.44)
+    assert cell.scene.parts[0].density_kg_m3 == surface.density_kg_m3
+    assert cell.scanner.exposure.auto  # Metal needs a wide bracket.
+    assert "# 0.42 to 0.46" in text and "# Fitted to scan: 3000 pixels." in text
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (FITTED.replace("roughness:", "# roughness:"), "has no roughness"),
+        (FITTED.replace("base_color:", "# base_color:"), "has no base_color"),
+        (FITTED + "texture: print.png\n", "names a picture"),
+        (FITTED + "parts: []\n", "unknown key parts"),
+        (FITTED.replace("0.44", "4.4"), "roughness"),
+    ],
+)
+def test_a_file_without_a_complete_material_is_refused(tmp_path, content, message):
+    (tmp_path / "fit.yaml").write_text(content)
+    with pytest.raises(ConfigError, match=f"fit.yaml: .*{message}"):
+        fitted_surface(tmp_path / "fit.yaml")
+
+
+def test_a_builtin_part_gets_the_surface_that_was_asked_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "cell", "--builtin", "toothpaste", "--surface", "steel"]) == 0
+    assert "material: steel" in (tmp_path / "cell/cell.yaml").read_text()
 
 
 @pytest.mark.slow

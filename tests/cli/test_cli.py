@@ -43,7 +43,7 @@ from graycast.world.drop import Decomposition
 
 OPTIONS = {
     "demo": "--out --device",
-    "new": "folder --part --builtin --unit --surface",
+    "new": "folder --part --builtin --unit --surface --surface-from",
     "preview": "config --out --scene --image --seed --backend --device",
     "generate": "config --out --scenes --seed --backend --device WORKERS",
     "rescan": "source --rig --resolution --out --camera --models --materials --sensor "

@@ -3,11 +3,16 @@
 import json
 import shlex
 from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from ..base.errors import ConfigError
+from ..base.settings import read_settings, read_text
 from ..rig.pair import BINNING
-from ..world.parts import Part, Symmetry, full_count, material_preset
+from ..world.parts import Material, Part, Symmetry, full_count, material_preset
+from ..world.parts.material_section import MaterialSection, resolve_material
 from ..world.parts.symmetry import shape_symmetry
 from ..world.scene import Bin
 from .framing import Framing, best_framing, part_width_px
@@ -19,10 +24,65 @@ HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fil
 _METAL_EXPOSURE = "exposure: {auto: true}   # chosen from each picture: up to 5, which take longer"
 SMALL_SHARE = 0.5  # A bin that covers less of the picture looks like a wrong choice of the scanner.
 MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
+METAL_KG_M3, OTHER_KG_M3 = 7850.0, 1000.0  # densities of parts with a fitted surface: steel, water
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartSurface:
+    """A material, and the keys of a part in a configuration that state it."""
+
+    material: Material
+    density_kg_m3: float
+    keys: tuple[str, ...]
+
+
+def named_surface(name: str) -> PartSurface:
+    """Return one of `MATERIALS`.
+
+    Raises:
+        ValueError: no material has that name.
+    """
+    preset = material_preset(name)
+    keys = (
+        f"material: {name}   # change it to that of your part",
+        f"density_kg_m3: {preset.density_kg_m3:g}",
+    )
+    return PartSurface(material=preset.material, density_kg_m3=preset.density_kg_m3, keys=keys)
+
+
+def fitted_surface(path: Path) -> PartSurface:
+    """Read the material that `graycast real material` wrote; its comments are kept.
+
+    Raises:
+        ConfigError: the file is no material, leaves a number open, or names a picture.
+    """
+    section = read_settings(path, MaterialSection)
+    for key in ("base_color", "roughness"):
+        if getattr(section, key) is None:
+            raise ConfigError(
+                f"{path}: has no {key}, so the scan did not determine it: add the key, or fit the "
+                "material to a scan that determines it (graycast real material --help)"
+            )
+    if section.texture is not None or section.roughness_map is not None:
+        raise ConfigError(f"{path}: names a picture: copy its keys into cell.yaml by hand")
+    material = resolve_material(section, path.parent)
+    density_kg_m3 = METAL_KG_M3 if material.metallic > 0 else OTHER_KG_M3
+    lines = [line for line in read_text(path).splitlines() if line.strip()]
+    keys = (
+        f"material:   # from {path.name}",
+        *(f"  {line}" for line in lines),
+        f"density_kg_m3: {density_kg_m3:g}   # change it to that of your part",
+    )
+    return PartSurface(material=material, density_kg_m3=density_kg_m3, keys=keys)
 
 
 def new_cell(
-    name: str, part: Part, source: Mapping[str, str], *, surface: str | None, scenes: int = 10
+    name: str,
+    part: Part,
+    source: Mapping[str, str],
+    *,
+    surface: PartSurface | None,
+    scenes: int = 10,
 ) -> str:
     """Return the text of a configuration.
 
@@ -30,11 +90,8 @@ def new_cell(
         name: the folder's name, for the commands in the first lines of the text.
         part: the part, whose size is used.
         source: the keys of `parts` that name its origin.
-        surface: one of `MATERIALS`; None keeps the part's own material, such as a mesh's texture.
-            The part's own density is then written, too, if `source` is a mesh.
-
-    Raises:
-        ValueError: no material has that name.
+        surface: the surface of the part; None keeps the part's own material, such as a mesh's
+            texture. The part's own density is then written, too, if `source` is a mesh.
     """
     inner_m = bin_for(part)
     box = Bin(inner_m=inner_m)
@@ -44,10 +101,8 @@ def new_cell(
     # JSON is valid YAML, even if the name of a file has a colon, a hash or a quote.
     keys = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in source.items()]
     if surface is not None:
-        density_kg_m3 = material_preset(surface).density_kg_m3
-        keys.append(f"material: {surface}   # change it to that of your part")
-        keys.append(f"density_kg_m3: {density_kg_m3:g}")
-        if shape_symmetry(part.mesh) != Symmetry():
+        keys += surface.keys
+        if "mesh" in source and shape_symmetry(part.mesh) != Symmetry():
             keys.append("symmetry: {auto: true}   # remove it if print or colour tells sides apart")
     elif "mesh" in source:
         keys.append(f"density_kg_m3: {part.density_kg_m3:g}   # change it to that of your part")
@@ -56,7 +111,7 @@ def new_cell(
     cell, picture, dataset = (
         shlex.quote(f"{name}/{file}") for file in ("cell.yaml", "preview.png", "dataset")
     )
-    metal = surface is not None and material_preset(surface).material.metallic > 0
+    metal = surface is not None and surface.material.metallic > 0
     exposure = f"{_METAL_EXPOSURE}\n" if metal else ""
     return f"""\
 # A cell for {part.name} ({size} mm). `graycast schema config` explains every key.

@@ -49,11 +49,19 @@ def add_first(commands) -> None:
         "--builtin", metavar="NAME", help="The name of a built-in part: see graycast parts."
     )
     add_shared(new, "--unit")
-    add_option(
-        new, "--surface", str,
-        "The name of the material of the mesh, such as steel-brushed; a wrong name lists them.",
-        None, usual="plastic, or the texture of the mesh", metavar="NAME",
-    )  # fmt: skip
+    look = new.add_mutually_exclusive_group()
+    look.add_argument(
+        "--surface",
+        metavar="NAME",
+        help="The name of the material of the part, such as steel-brushed; a wrong name lists them "
+        "(default: plastic, or the part's own look).",
+    )
+    look.add_argument(
+        "--surface-from",
+        type=Path,
+        metavar="FILE",
+        help="The material that graycast real material fitted to a scan of the part.",
+    )
 
 
 def add_last(commands) -> None:
@@ -90,6 +98,7 @@ def _new(options: argparse.Namespace) -> None:
         mesh=options.part,
         unit=options.unit,
         surface=options.surface,
+        surface_from=options.surface_from,
     )
     path = options.folder / "cell.yaml"
     print(f"{part.name}: {size_text(part)} mm, {mass_text(part)}")
@@ -107,6 +116,7 @@ def _write_cell(
     mesh: Path | None = None,
     unit: str | None = None,
     surface: str | None = None,
+    surface_from: Path | None = None,
     scenes: int = 10,
 ) -> "Part":
     """Write the folder of a cell completely or not at all, and return its part.
@@ -115,24 +125,27 @@ def _write_cell(
         GraycastError: the folder is not empty or cannot be written, or the part cannot be read.
     """
     from ..base.folder import new_folder
-    from ..cell.new_cell import new_cell
-    from ..world.parts import builtin_part, files_of_mesh, glass_notes, load_part, material_preset
+    from ..cell.new_cell import fitted_surface, named_surface, new_cell
+    from ..world.parts import builtin_part, files_of_mesh, glass_notes, load_part
 
+    own = None if surface is None else named_surface(surface)
+    if surface_from is not None:
+        own = fitted_surface(surface_from)
     if mesh is None:
         if unit is not None:
             raise GraycastError("--unit belongs to a mesh file: remove it, or give --part")
         assert builtin is not None  # exactly one of the two is given
-        part, source, own = builtin_part(builtin), {"builtin": builtin}, None
+        part, source = builtin_part(builtin), {"builtin": builtin}
     else:
-        material = None if surface is None else material_preset(surface).material
+        material = None if own is None else own.material
         part, notes = load_part(
             mesh, unit=unit, material=material, density_kg_m3=1000.0, friction=0.4
         )
         for note in (*notes, *glass_notes([part])):
             print(f"note: {mesh}: {note}")
-        if surface is None and part.material.texture is None:
-            surface = "plastic"
-        source, own = {"mesh": mesh.name} | ({} if unit is None else {"unit": unit}), surface
+        if own is None and part.material.texture is None:
+            own = named_surface("plastic")
+        source = {"mesh": mesh.name} | ({} if unit is None else {"unit": unit})
     text = new_cell(folder.as_posix(), part, source, surface=own, scenes=scenes)
     with new_folder(folder) as out:
         (out / "cell.yaml").write_text(text, encoding="utf-8")
@@ -141,9 +154,7 @@ def _write_cell(
                 copy = out / file.relative_to(mesh.parent)
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(file, copy)
-    if own is None:
-        return part
-    return replace(part, density_kg_m3=material_preset(own).density_kg_m3)
+    return part if own is None else replace(part, density_kg_m3=own.density_kg_m3)
 
 
 def _doctor(options: argparse.Namespace) -> None:

@@ -43,7 +43,7 @@ def material_text(fit: MaterialFit, source: str) -> str:
     """Return the material as a section of a configuration, with intervals as comments."""
     lines = [
         f"# Fitted to {source}: {fit.pixels} pixels.",
-        "# Intervals hold 95 %. Copy these keys to material: of a part in cell.yaml.",
+        "# Intervals hold 95 %. `graycast new --surface-from` writes a cell with this material.",
     ]
     color = f"[{', '.join([f'{fit.color.value:.3f}'] * 3)}]"
     lines += _line("base_color", color, fit.color, SPAN, "at the projector's wavelength")

@@ -54,6 +54,12 @@ def test_steel_comes_back_from_a_heap_of_brackets(scene, tmp_path, capsys):
     assert material["base_color"] == pytest.approx([0.4] * 3, rel=0.1)
     assert out.with_suffix(".png").stat().st_size > 10_000
     assert "kind           metal" in capsys.readouterr().out
+    cell = tmp_path / "cell"
+    assert not main(
+        ["new", str(cell), "--builtin", "metal_workpiece_1", "--surface-from", str(out)]
+    )
+    (part,) = gc.load_cell(cell / "cell.yaml").scene.parts
+    assert part.material.roughness == material["roughness"]
     assert run(scene / "frames", "--out", out) == 1
     assert "exists already" in capsys.readouterr().err
 

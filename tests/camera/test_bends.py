@@ -26,7 +26,7 @@ def grid():
 
 
 @pytest.mark.parametrize("noise_sigmas", [0.0, 0.7])
-def test_a_plane_keeps_its_sigma(noise_sigmas):
+def test_a_plane_without_a_bend_keeps_its_sigma(noise_sigmas):
     """A plane is linear in inverse depth at any slope; such small noise is no bend."""
     x, y = grid()
     inverse = 0.8 + 3e-3 * x - 2e-3 * y
@@ -36,7 +36,7 @@ def test_a_plane_keeps_its_sigma(noise_sigmas):
 
 
 @pytest.mark.parametrize("turn", [False, True])
-def test_a_fold_widens_sigma_by_a_quarter_of_its_bend(turn):
+def test_sigma_at_a_fold_increases_by_a_quarter_of_the_bend(turn):
     """The bend is the change of the slope within a pixel, only at the fold."""
     x, _ = grid()
     change = 4e-3  # of inverse depth per pixel [1/m]
@@ -52,7 +52,7 @@ def test_a_fold_widens_sigma_by_a_quarter_of_its_bend(turn):
     np.testing.assert_array_equal(np.delete(sigma_m, (19, 20, 21), axis=1), np.float32(SIGMA_M))
 
 
-def test_errors_of_pixels_divided_by_a_step_agree_with_sigma():
+def test_errors_at_pixels_that_a_step_crosses_agree_with_sigma():
     """A step divides each row at another position; a pixel there sees a share of both surfaces."""
     rng = np.random.default_rng(7)
     height, rows = 5e-3, 4000

@@ -30,14 +30,14 @@ def rig(**words):
     return make_rig(centred(64, 48, 50), centred(32, 24, 30), **words)
 
 
-def test_without_leaks_the_renderer_s_own_arrays_are_returned():
+def test_a_scanner_without_leaks_returns_the_renderer_s_own_arrays():
     light = radiance()
     stack, background = camera_light(light, rig())
     assert stack is light.pattern and background is light.ambient
 
 
 @pytest.mark.parametrize("veil", [0.0, 0.1])
-def test_black_over_white_is_the_contrast_ratio(veil):
+def test_a_black_pattern_gives_white_light_divided_by_the_contrast_ratio(veil):
     """The field is flat, so the veil changes neither."""
     flat = np.full((48, 64), 3.0, dtype=np.float32)
     colour = np.zeros((48, 64, 3), dtype=np.float32)
@@ -54,7 +54,7 @@ def test_black_over_white_is_the_contrast_ratio(veil):
     assert pattern is light.pattern and np.array_equal(light.pattern[0], flat)
 
 
-def test_the_lens_spreads_all_light_in_the_same_way():
+def test_the_lens_spreads_projected_and_ambient_light_alike():
     """Light adds: pattern and other light with a veil each are the veil of their sum."""
     light = radiance()
     stack, background = camera_light(light, rig(veil=0.2))
@@ -65,7 +65,7 @@ def test_the_lens_spreads_all_light_in_the_same_way():
 
 
 @pytest.mark.parametrize("size", [(772, 1032), (48, 64), (101, 333), (400, 150), (3, 5)])
-def test_the_veil_conserves_light_and_does_not_change_a_flat_picture(size):
+def test_a_lens_veil_conserves_light_and_does_not_change_a_flat_picture(size):
     image = RNG.exponential(1.0, size).astype(np.float32)
     image[: size[0] // 9 + 1, : size[1] // 9 + 1] += 1000  # a lamp in the corner
     flat = np.full(size, 0.7, dtype=np.float32)
@@ -73,7 +73,7 @@ def test_the_veil_conserves_light_and_does_not_change_a_flat_picture(size):
     assert np.abs(veiled(flat, 0.3) - 0.7).max() < 1e-6
 
 
-def test_the_veil_is_linear_and_does_not_blur_the_rest():
+def test_a_lens_veil_is_linear_and_does_not_blur_unscattered_light():
     a, b = RNG.exponential(1.0, (2, 200, 300)).astype(np.float32)
     assert np.allclose(veiled(2 * a + b, 0.2), 2 * veiled(a, 0.2) + veiled(b, 0.2), atol=1e-5)
     halo = veiled(a, 0.2) - np.float32(0.8) * a
@@ -82,7 +82,7 @@ def test_the_veil_is_linear_and_does_not_blur_the_rest():
 
 
 @pytest.mark.slow
-def test_the_halo_of_a_light_is_the_mean_of_gaussians_of_all_octaves():
+def test_the_halo_around_a_light_is_the_mean_of_gaussians_of_all_octaves():
     """Oracle: SciPy's filter at full resolution with mirrored borders, far from the light, where
     the pixels of the small picture do not matter.
     """
@@ -98,7 +98,7 @@ def test_the_halo_of_a_light_is_the_mean_of_gaussians_of_all_octaves():
     assert (error / expected)[far].max() < 0.02
 
 
-def test_coarse_stripes_lose_less_than_fine_ones():
+def test_coarse_stripes_lose_less_contrast_than_fine_stripes():
     """Real stacks lose 1 to 3 % of modulation per bit, from coarse to fine."""
     x = np.arange(1024)
     modulation = []
@@ -112,7 +112,7 @@ def test_coarse_stripes_lose_less_than_fine_ones():
     assert (losses > -1e-6).all() and losses.max() < 0.03
 
 
-def test_arguments_are_not_changed():
+def test_adding_lens_effects_does_not_change_the_arguments():
     light = radiance()
     before = [array.copy() for array in (light.pattern, light.white, light.ambient)]
     stack, background = camera_light(light, rig(contrast_ratio=50.0, veil=0.05))

@@ -24,7 +24,7 @@ def two_lights(ratio: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("ratio", "count"), [(7.9, 1), (50.0, 2), (500.0, 3), (4000.0, 4)])
-def test_two_lights_are_well_exposed_in_the_fewest_exposures_that_their_ratio_needs(ratio, count):
+def test_two_light_levels_get_the_fewest_exposures_that_their_ratio_needs(ratio, count):
     times = exposure_times(two_lights(ratio), SENSOR, AUTO)
     assert len(times.times_s) == count
     assert levels(ratio, times)[0] == pytest.approx(0.8)
@@ -39,7 +39,7 @@ def test_light_of_one_level_gets_one_exposure_that_brings_it_to_the_target():
     assert times.reference_s == times.times_s[0]
 
 
-def test_exposure_times_are_inverse_to_the_light():
+def test_exposure_times_are_inversely_proportional_to_the_light():
     sensor = replace(SENSOR, dark_current_e_s=0.0)
     white = np.random.default_rng(0).lognormal(0, 2, 5000).astype(np.float32)
     once, brighter = (exposure_times(k * white, sensor, AUTO) for k in (1, 16))
@@ -47,7 +47,7 @@ def test_exposure_times_are_inverse_to_the_light():
     assert once.reference_s / 16 == pytest.approx(brighter.reference_s)
 
 
-def test_a_few_pixels_of_mirrored_light_do_not_change_the_times():
+def test_a_few_pixels_of_mirrored_light_do_not_change_exposure_times():
     white = two_lights(50.0)
     with_mirrors = np.concatenate([white, np.array([1e6], dtype=np.float32)])
     assert exposure_times(with_mirrors, SENSOR, AUTO).times_s == pytest.approx(
@@ -55,7 +55,7 @@ def test_a_few_pixels_of_mirrored_light_do_not_change_the_times():
     )
 
 
-def test_exposures_are_limited_in_number_and_in_span():
+def test_the_number_and_the_span_of_exposures_are_limited():
     for most in (1, 2, 3, 5):
         times = exposure_times(two_lights(1e9), SENSOR, replace(AUTO, most=most)).times_s
         assert len(times) == most
@@ -63,13 +63,13 @@ def test_exposures_are_limited_in_number_and_in_span():
         assert times[-1] / times[0] <= SPAN_MAX * (1 + 1e-9)
 
 
-def test_scaled_light_gives_the_time_of_automatic_exposure_without_a_bracket():
+def test_bracketing_scaled_light_gives_the_time_of_automatic_exposure():
     white = two_lights(500.0)
     fixed = exposure_times(white, SENSOR, ExposureSpec(factors=(1.0, 4.0)))
     assert exposure_times(white, SENSOR, AUTO).reference_s == fixed.reference_s
     assert fixed.times_s == (fixed.reference_s, 4.0 * fixed.reference_s)
 
 
-def test_dark_pixels_are_refused_with_a_remedy():
+def test_exposing_dark_pixels_is_refused_with_a_remedy():
     with pytest.raises(ValueError, match=r"no metered pixel has light: .*exposure\.exposure_s"):
         exposure_times(np.zeros(9, np.float32), SENSOR, AUTO)

@@ -33,7 +33,7 @@ def depth_map(z_m, sigma_m=1e-7):
 
 
 @pytest.mark.parametrize(("tilt_deg", "azimuth_deg"), [(20, 0), (45, 90), (60, 30)])
-def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
+def test_the_raster_error_is_proportional_to_the_slope_and_the_pixel_width(tilt_deg, azimuth_deg):
     """At the axis a pixel is z / f wide, and a plane rises by tan(tilt) times that; sigma
     agrees."""
     z_m = tilted(tilt_deg, azimuth_deg)
@@ -47,7 +47,7 @@ def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
 
 
 @pytest.mark.parametrize("tilt_deg", [5, 30, 70])
-def test_the_error_of_a_limited_raster_does_not_exceed_its_limit(tilt_deg):
+def test_the_error_from_a_raster_does_not_exceed_its_limit(tilt_deg):
     """Oracle: the inverse squares of both deviations are added."""
     z_m, limit_m = tilted(tilt_deg, 90), 2e-4
     placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25, raster_limit_m=limit_m), seed=0)
@@ -58,7 +58,7 @@ def test_the_error_of_a_limited_raster_does_not_exceed_its_limit(tilt_deg):
     assert placed.sigma_m[near].mean() == pytest.approx(law_m, rel=0.02)
 
 
-def test_the_raster_is_white_and_the_same_in_every_shot():
+def test_the_raster_is_white_noise_and_equal_in_every_shot():
     z_m = tilted(45, 30)
     once, again = (with_faults(depth_map(z_m), FaultSpec(raster_px=0.3), seed=0) for _ in range(2))
     assert np.array_equal(once.depth_m, again.depth_m)
@@ -67,7 +67,7 @@ def test_the_raster_is_white_and_the_same_in_every_shot():
         assert abs((a * b).mean()) < 4 / math.sqrt(share.size)
 
 
-def test_errors_of_a_line_are_similar_in_size():
+def test_raster_errors_along_a_line_have_similar_sizes():
     """Oracle: the log-normal law, whose logarithm is a Gaussian convolved with white noise."""
     factor = line_amplitude((400, 420), 0.5, seed=0)
     assert (factor**2).mean() == pytest.approx(1, rel=0.03)
@@ -90,7 +90,7 @@ def test_errors_of_a_line_are_similar_in_size():
     assert abs((share[1:] * share[:-1]).mean()) < 0.02  # their signs do not correlate
 
 
-def test_positions_in_even_light_are_nearer_to_the_centre():
+def test_half_the_light_contrast_halves_the_raster_error():
     """Half the contrast of the light moves the centre half as far, and sigma agrees."""
     z_m = tilted(45, 0)
     contrast = np.where(np.arange(SHAPE[1]) < 160, 1.0, 0.5) * np.ones(SHAPE)
@@ -103,7 +103,7 @@ def test_positions_in_even_light_are_nearer_to_the_centre():
     assert np.std((moved / placed.sigma_m)[inside]) == pytest.approx(1, rel=0.02)
 
 
-def test_a_facing_surface_a_step_and_a_hole_are_unchanged():
+def test_the_raster_does_not_change_a_facing_surface_a_step_or_a_hole():
     z_m = np.full(SHAPE, 0.8)
     z_m[:, 160:] = 0.9
     z_m[100:110, 100:110] = np.nan
@@ -111,7 +111,7 @@ def test_a_facing_surface_a_step_and_a_hole_are_unchanged():
     assert np.allclose(placed.depth_m, z_m, rtol=1e-6, equal_nan=True)
 
 
-def test_without_a_fault_the_map_is_the_same():
+def test_a_depth_map_without_a_fault_is_returned_unchanged():
     depth = depth_map(tilted(45, 0))
     for off in (FaultSpec(), FaultSpec(raster_px=0.0), FaultSpec(raster_limit_m=1e-4)):
         assert with_faults(depth, off, seed=0) is depth
@@ -123,7 +123,7 @@ def test_impossible_faults_are_refused_by_name(name, value):
         FaultSpec(**{name: value})
 
 
-def test_filters_have_no_fault_and_decode_stack_accepts_filters_only():
+def test_decode_stack_accepts_filters_but_no_faults():
     assert not {f.name for f in fields(FaultSpec)} & {f.name for f in fields(FilterSpec)}
     assert get_type_hints(decode_stack)["filters"] == FilterSpec | None
     assert set(get_type_hints(decode_stack)) == {"path", "rig", "average", "filters", "return"}

@@ -11,7 +11,7 @@ from graycast.camera.speckle import uneven
 SHAPE = (400, 420)
 
 
-def test_an_uneven_amplitude_has_its_spread_and_its_patches_and_no_more_power():
+def test_an_uneven_finish_has_the_stated_spread_and_patches_and_the_same_power():
     mean, patch_px = 0.1, 8.0
     amplitudes = [
         uneven(np.full(SHAPE, mean), 0.3, patch_px=patch_px, seed=seed) for seed in range(6)

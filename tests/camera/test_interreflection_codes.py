@@ -134,7 +134,7 @@ def wrong(error):
 
 
 @pytest.mark.slow
-def test_plain_gray_code_fails_where_radiosity_predicts_it(shots):
+def test_plain_gray_code_fails_at_the_pixels_that_radiosity_predicts(shots):
     measured, predicted = shots["gray"]
     known = np.isfinite(measured) & np.isfinite(predicted)
     assert wrong(predicted) > 0.25
@@ -144,7 +144,7 @@ def test_plain_gray_code_fails_where_radiosity_predicts_it(shots):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("code", ["xor", "micro"])
-def test_codes_of_narrow_stripes_halve_the_error_or_more(shots, code):
+def test_codes_with_narrow_stripes_at_least_halve_the_error(shots, code):
     """It is under a fifth; pixels that they cannot decode have no value."""
     assert wrong(shots[code][0]) < 0.5 * wrong(shots["gray"][0])
     assert np.isfinite(shots[code][0]).mean() > 0.6
@@ -152,5 +152,5 @@ def test_codes_of_narrow_stripes_halve_the_error_or_more(shots, code):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("code", ["xor", "micro"])
-def test_radiosity_predicts_that_codes_of_narrow_stripes_are_right(shots, code):
+def test_radiosity_predicts_that_codes_with_narrow_stripes_are_correct(shots, code):
     assert wrong(shots[code][1]) < 0.05

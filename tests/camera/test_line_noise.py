@@ -54,7 +54,7 @@ def places(scanner, radiance, seeds):
     return np.stack([codes.column[inner] for codes, _ in scans]), scans
 
 
-def test_the_renderer_gives_the_projector_line_of_each_pixel(scanner, radiance):
+def test_the_renderer_returns_the_projector_line_that_lights_each_pixel(scanner, radiance):
     """Oracle: similar triangles, u_proj = u_cam - f b / z."""
     rig = scanner.rig
     expected = np.arange(96) - 47.5 - 160.0 * rig.T_cam_proj[0, 3] / 1.0 + 95.5
@@ -91,13 +91,13 @@ def test_a_dark_scene_with_a_fixed_exposure_gives_a_dark_picture(scanner, radian
     assert frames.max() < scanner.sensor.offset_dn + 5
 
 
-def test_line_noise_without_the_positions_of_light_is_refused_by_name(scanner, radiance):
+def test_line_noise_without_known_projector_positions_is_refused_by_name(scanner, radiance):
     with pytest.raises(ValueError, match=r"line_noise 0\.02.*place_px"):
         take(scanner, replace(radiance, place_px=None), seed=1)
 
 
 @pytest.mark.slow
-def test_positions_scatter_by_the_closed_form_and_equally_along_a_line(scanner, radiance):
+def test_line_noise_moves_a_whole_projector_line_by_the_closed_form(scanner, radiance):
     """(p / 2 pi) share sqrt(5 / (2 N)): sums over sin and cos, as in the module, done by hand.
 
     Half and twice the value fail clearly.
@@ -115,7 +115,7 @@ def test_positions_scatter_by_the_closed_form_and_equally_along_a_line(scanner, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("length_px", [1.0, 3.0])
-def test_errors_with_a_length_correlate_only_over_that_length(scanner, radiance, length_px):
+def test_line_errors_correlate_only_over_the_stated_length(scanner, radiance, length_px):
     """The law is exp(-(r / l)^2) along a line; the scatter stays that of whole lines."""
     rig = scanner.rig
     length_m = length_px * (rig.near_m + rig.far_m) / 2 / rig.camera.fx_px
@@ -130,7 +130,7 @@ def test_errors_with_a_length_correlate_only_over_that_length(scanner, radiance,
     assert abs(np.corrcoef(error[..., :-1].ravel(), error[..., 1:].ravel())[0, 1]) < 0.03
 
 
-def test_errors_longer_than_the_picture_scatter_by_their_share():
+def test_line_errors_longer_than_the_picture_scatter_by_the_stated_share():
     """With 100 positions, a ring cannot have the law of such lengths exactly."""
     line = np.broadcast_to(np.arange(4000.0), (100, 4000))
     for length_px in (25.0, 50.0, 250.0):
@@ -140,7 +140,7 @@ def test_errors_longer_than_the_picture_scatter_by_their_share():
         assert (noisy - 1).std() == pytest.approx(0.01, rel=0.02)
 
 
-def test_lines_along_rows_also_have_a_length(scanner, radiance):
+def test_the_correlation_length_applies_equally_to_columns_and_rows(scanner, radiance):
     place = radiance.place_px[0]
     upright = with_line_noise(radiance.pattern, place, 0.1, axis="column", length_px=2.0, seed=1)
     lying = with_line_noise(
@@ -153,7 +153,7 @@ def test_lines_along_rows_also_have_a_length(scanner, radiance):
 @pytest.mark.parametrize(
     "words", [{"period_px": 48.0, "fine_period_px": 16.0}, {"codec": "multi_frequency"}]
 )
-def test_several_periods_scatter_less_by_their_mean(scanner, words):
+def test_averaging_several_periods_reduces_scatter_as_stated(scanner, words):
     scanner = replace(scanner, code=replace(scanner.code, **words))
     u, _ = places(scanner, light_of(scanner), range(12))
     stated_px = line_noise_px(scanner.light_code(), "column", SHARE)
@@ -170,7 +170,7 @@ def test_sigma_agrees_with_the_error_of_line_noise(scanner, radiance):
     assert 0.9 < noise_m / np.sqrt((sigma_m**2).mean()) < 1.1
 
 
-def test_a_steady_projector_adds_no_noise_and_exposures_differ(scanner, radiance):
+def test_a_steady_projector_adds_no_line_noise_and_seeds_give_unequal_errors(scanner, radiance):
     still = replace(scanner, rig=replace(scanner.rig, line_noise=0.0))
     sensor = replace(scanner, rig=replace(scanner.rig, line_noise=1e-9))
     np.testing.assert_array_equal(
@@ -185,7 +185,7 @@ def test_a_steady_projector_adds_no_noise_and_exposures_differ(scanner, radiance
     assert not np.array_equal(first, other)
 
 
-def test_light_without_a_known_line_is_unchanged(scanner, radiance):
+def test_light_without_a_known_projector_line_is_unchanged(scanner, radiance):
     place = radiance.place_px[0].copy()
     place[:, 40:] = np.nan
     noisy = with_line_noise(radiance.pattern, place, 0.1, axis="column", seed=1)

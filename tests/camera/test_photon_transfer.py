@@ -44,7 +44,7 @@ def test_photon_transfer_measures_the_parameters_of_a_simulated_sensor(spec, sid
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.97, 1.03])
-def test_noise_that_is_3_percent_wrong_is_noticed(monkeypatch, factor):
+def test_photon_transfer_notices_noise_that_is_3_percent_wrong(monkeypatch, factor):
     """The temporal noise of every picture is scaled about its level, which does not change."""
 
     def wrong(radiance, background, sensor, *, exposure_s, seed):
@@ -64,13 +64,13 @@ def test_noise_that_is_3_percent_wrong_is_noticed(monkeypatch, factor):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gain_dn_per_e", "read_noise_e", "full_well_e"])
-def test_a_parameter_3_percent_off_is_noticed(name):
+def test_photon_transfer_notices_a_parameter_that_is_3_percent_wrong(name):
     wrong = replace(SPEC, **{name: 1.03 * getattr(SPEC, name)})
     assert not returns(photon_transfer(wrong, seed=2, stack=8), SPEC)
 
 
 @pytest.mark.slow
-def test_the_greatest_variance_is_where_a_clipped_normal_law_has_it():
+def test_the_saturation_capacity_agrees_with_a_clipped_normal_law():
     """Oracle: variance of min(normal(mu, mu), well), scanned; the levels are 2 % apart."""
     quantile = stats.norm.ppf((np.arange(20_000) + 0.5) / 20_000)
     mean_e = np.arange(9000.0, 10_000.0, 10.0)

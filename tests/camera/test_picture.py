@@ -18,7 +18,7 @@ H, W = 48, 64
 
 
 @pytest.mark.parametrize("times_s", [(1.0,), (0.1, 1.0), (4.0, 1.0, 16.0)])
-def test_the_grey_picture_is_proportional_to_the_light_for_any_exposures(times_s):
+def test_the_grey_picture_is_proportional_to_the_light_whatever_the_exposures(times_s):
     """White is the light that saturates the sensor in the shortest exposure: 40,450 electrons."""
     light = np.linspace(0.01, 3.0, 256)  # in shares of white
     per_s = light * (SENSOR.saturation_dn - 50) / 0.1 / SENSOR.responsivity / min(times_s)
@@ -34,7 +34,7 @@ def test_the_grey_picture_is_proportional_to_the_light_for_any_exposures(times_s
     assert np.abs(gray - expected)[~unsure].max() < 0.5
 
 
-def test_equal_surfaces_are_equally_grey_in_different_exposures():
+def test_a_wall_is_equally_grey_at_pixels_of_different_exposures():
     """On the left half of a wall, another frame is so bright that a shorter exposure is used.
 
     White fills 20 % of the sensor in one second. Rounding costs up to half a level if there is
@@ -90,7 +90,7 @@ def flat_rendering(ambient_rgb, white_rgb):
         ({"picture_level": 0.25, "contrast_ratio": 8.0}, (6.75, 4.75, 3.75)),
     ],
 )
-def test_the_colour_picture_has_all_light_with_the_brightest_at_its_target(words, light):
+def test_the_colour_picture_shows_all_light_and_is_exposed_to_its_target(words, light):
     """Idle light by hand: (1 - 1/contrast) + 1/contrast times white, here 8 in each band.
 
     The brightest band is exposed to 0.85 of the range; the encoding is IEC 61966-2-1's.

@@ -116,19 +116,19 @@ def test_a_saved_rig_is_read_back_to_the_last_bit(tmp_path, seed):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_presets_are_unchanged_by_saving_and_reading(tmp_path, name):
+def test_saving_and_reading_does_not_change_a_preset(tmp_path, name):
     save_scanner(preset(name, "full"), tmp_path / "rig.yaml")
     assert same(load_scanner(tmp_path / "rig.yaml"), preset(name, "full"))
 
 
-def test_saving_writes_one_file_and_no_other(tmp_path):
+def test_saving_a_rig_writes_exactly_one_file(tmp_path):
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     save_scanner(preset("like-phoxi-s"), tmp_path / "rig.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
     assert load_scanner(tmp_path / "rig.yaml").rig.name == "like-phoxi-s"
 
 
-def test_a_file_has_the_pose_of_the_projector_in_camera_coordinates(tmp_path):
+def test_a_rig_file_states_the_projector_s_pose_in_camera_coordinates(tmp_path):
     """The pose by hand: 0.2 m to the right of the camera, 0.7 m in front, -90 degrees about y."""
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
@@ -143,7 +143,7 @@ def test_a_file_has_the_pose_of_the_projector_in_camera_coordinates(tmp_path):
 @pytest.mark.parametrize(
     "name", ["c.yaml", "c.json", "c.npz", "c.cv.yaml", "c.cv.yml", "c.cv.xml", "c.cv.json"]
 )
-def test_a_calibration_has_the_meaning_that_opencv_gives_it(tmp_path, name):
+def test_a_calibration_is_interpreted_as_opencv_interprets_it(tmp_path, name):
     """Oracle: cv2.projectPoints with R and T of the file maps points to projector pixels."""
     rig = read(write(tmp_path / name, CALIBRATION))
     point_m = np.random.default_rng(0).uniform([-0.05, -0.05, 0.4], [0.05, 0.05, 0.6], (50, 3))
@@ -167,13 +167,13 @@ def renamed(keys, which):
 
 
 @pytest.mark.parametrize("which", range(3))
-def test_the_keys_of_opencv_mean_the_same(tmp_path, which):
+def test_opencv_s_names_for_keys_of_a_calibration_are_accepted(tmp_path, which):
     usual = read(write(tmp_path / "c.yaml", CALIBRATION))
     assert same(read(write(tmp_path / "c.xml", renamed(OTHER_KEYS, which))), usual)
 
 
 @pytest.mark.parametrize("which", range(2))
-def test_other_keys_are_refused_with_the_list_of_those_that_are_read(tmp_path, which):
+def test_unknown_calibration_keys_are_refused_with_a_list_of_known_keys(tmp_path, which):
     path = write(tmp_path / "c.xml", renamed(UNREAD_KEYS, which))
     with pytest.raises(ConfigError, match=r"the file holds .*: name its key ") as error:
         read(path)
@@ -182,7 +182,7 @@ def test_other_keys_are_refused_with_the_list_of_those_that_are_read(tmp_path, w
         assert re.search(rf"\b{key}\b", str(error.value))
 
 
-def test_the_left_camera_of_three_devices_is_not_taken_for_a_pair_with_the_right(tmp_path):
+def test_the_right_camera_in_a_calibration_is_not_taken_for_the_projector(tmp_path):
     """SLMaster has the right camera as M2 and the projector as M4."""
     content = renamed(UNREAD_KEYS, 1) | {"M2": CALIBRATION["cam_K"], "D2": CALIBRATION["cam_kc"]}
     content |= {"Rlr": np.eye(3).tolist(), "Tlr": [[90.0], [0.0], [0.0]]}
@@ -190,7 +190,7 @@ def test_the_left_camera_of_three_devices_is_not_taken_for_a_pair_with_the_right
         read(write(tmp_path / "c.xml", content))
 
 
-def test_a_calibration_without_distortion_is_reported_with_the_keys_that_it_has(tmp_path):
+def test_the_error_for_a_calibration_without_distortion_lists_its_keys(tmp_path):
     path = write(tmp_path / "c.yaml", CALIBRATION)
     assert missing_distortions(path) == ()
     other = {"cam_kc": "lensTermsA", "pro_kc": "lensTermsB"}
@@ -228,20 +228,22 @@ def test_a_camera_of_200_000_pixels_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("scale", "unit", "metres"), [(1, None, 1e-3), (1, "mm", 1e-3), (1e-3, None, 1), (1e-3, "m", 1)]
 )
-def test_the_unit_is_stated_or_follows_from_the_length_of_t(tmp_path, scale, unit, metres):
+def test_the_calibration_unit_is_stated_or_follows_from_the_length_of_t(
+    tmp_path, scale, unit, metres
+):
     T = (np.array(CALIBRATION["T"]) * scale).tolist()
     rig = read(write(tmp_path / "c.yaml", CALIBRATION | {"T": T}), unit=unit)
     assert rig.baseline_m == pytest.approx(np.linalg.norm(T) * metres)
 
 
-def test_stated_sizes_replace_those_in_the_file(tmp_path):
+def test_stated_picture_sizes_replace_the_sizes_in_the_calibration(tmp_path):
     path = write(tmp_path / "c.yaml", CALIBRATION)
     rig = read(path, camera_size_px=(641, 481), projector_size_px=(1281, 721))
     assert (rig.camera.width_px, rig.camera.height_px) == (641, 481)
     assert (rig.projector.width_px, rig.projector.height_px) == (1281, 721)
 
 
-def test_rational_terms_that_are_zero_are_accepted(tmp_path):
+def test_rational_distortion_terms_of_zero_are_accepted(tmp_path):
     long = [[*CALIBRATION["cam_kc"], 0.0, 0.0, 0.0]]
     rig = read(write(tmp_path / "c.cv.yaml", CALIBRATION | {"cam_kc": long}))
     assert rig.camera.distortion == tuple(CALIBRATION["cam_kc"])
@@ -262,7 +264,7 @@ def test_the_sea_shell_scanner_has_a_baseline_of_195_mm(tmp_path):
     assert same(load_scanner(tmp_path / "rig.yaml").rig, rig)
 
 
-def test_the_sea_shell_reference_cloud_is_in_the_fields_of_view_of_both_devices():
+def test_the_sea_shell_cloud_is_visible_to_camera_and_projector():
     """The author's cloud is in camera coordinates [mm] with y and z negated."""
     cloud = SEA_SHELL.with_name("reference_cloud.ply")
     if not cloud.is_file():
@@ -279,7 +281,7 @@ def test_the_sea_shell_reference_cloud_is_in_the_fields_of_view_of_both_devices(
         assert inside.all(axis=1).mean() > 0.99
 
 
-def test_a_file_of_one_device_only_is_refused():
+def test_a_calibration_of_a_single_device_is_refused():
     if not SCANNER_SIM.is_dir():
         pytest.skip(f"the measured scanner is not there: {SCANNER_SIM}")
     with pytest.raises(ConfigError, match="camera and projector in one file"):
@@ -349,7 +351,7 @@ def test_bad_options_for_a_good_calibration_are_refused(tmp_path, changes, messa
     assert_one_line_that_names(error, path)
 
 
-def test_metres_instead_of_millimetres_are_noticed(tmp_path):
+def test_a_calibration_in_metres_instead_of_millimetres_is_noticed(tmp_path):
     path = write(tmp_path / "c.yaml", CALIBRATION | {"T": [0.2, 0.0, 0.0]})
     with pytest.raises(ConfigError, match=r"T in mm gives a baseline of 0\.2 mm"):
         read(path, unit="mm")
@@ -367,7 +369,7 @@ def test_metres_instead_of_millimetres_are_noticed(tmp_path):
         ("c.npz", "no zip", "is not an NPZ file"),
     ],
 )
-def test_a_file_that_is_no_calibration_is_refused(tmp_path, name, text, message):
+def test_a_file_without_a_calibration_is_refused(tmp_path, name, text, message):
     path = tmp_path / name
     path.write_text(text)
     with pytest.raises(ConfigError, match=message) as error:
@@ -376,7 +378,7 @@ def test_a_file_that_is_no_calibration_is_refused(tmp_path, name, text, message)
 
 
 @pytest.mark.parametrize("name", ["gone.yaml", "gone.npz", "gone.xml", "gone.json"])
-def test_a_missing_file_is_named(tmp_path, name):
+def test_the_error_for_a_missing_calibration_names_the_file(tmp_path, name):
     for reader in (read, load_scanner) if name.endswith("yaml") else (read,):
         with pytest.raises(ConfigError, match="no such file: check the path") as error:
             reader(tmp_path / name)
@@ -476,7 +478,7 @@ def test_a_rig_is_not_saved_into_a_missing_folder(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_configuration_names_a_preset_or_a_file_next_to_it(tmp_path):
+def test_a_configuration_may_name_a_preset_or_a_rig_file_next_to_it(tmp_path):
     rig = awkward_rig(seed=0)
     save_scanner(Scanner(rig=rig), tmp_path / "mine.yaml")
     assert same(named_scanner("mine.yaml", folder=tmp_path).rig, rig)
@@ -497,7 +499,7 @@ def test_a_configuration_names_a_preset_or_a_file_next_to_it(tmp_path):
         ("paper", "medium", "no resolution 'medium': choose one of small, low, full"),
     ],
 )
-def test_an_unknown_rig_name_lists_the_presets(tmp_path, text, resolution, message):
+def test_the_error_for_an_unknown_rig_name_lists_the_presets(tmp_path, text, resolution, message):
     with pytest.raises(ConfigError, match=message):
         named_scanner(text, folder=tmp_path, resolution=resolution)
 

@@ -78,7 +78,7 @@ def test_errors_of_a_sub_pixel_code_agree_with_sigma(shots, codec):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("codec", ["gray", "xor_gray"])
-def test_errors_of_a_binary_code_are_under_half_a_column(rig, shots, codec):
+def test_errors_of_a_binary_code_are_below_half_a_column(rig, shots, codec):
     """Half a column, as depth, is sqrt(3) sigma of an even error; a pixel across two columns may
     have either, and has a larger sigma.
     """
@@ -144,7 +144,7 @@ def test_exposures_have_independent_noise(flat_light, monkeypatch):
 
 
 @pytest.mark.slow
-def test_automatic_exposure_measures_all_light_of_the_brightest_frame(flat_light):
+def test_automatic_exposure_measures_all_light_in_the_brightest_frame(flat_light):
     """Lamps give as much light as the projector: both together reach the target."""
     scanner = Scanner(rig=preset_rig("paper", "small"), exposure=ExposureSpec(target=0.6))
     light = flat_light(scanner, dim=5.0, bright=5.0)
@@ -188,7 +188,7 @@ def flat_light():
     return flat
 
 
-def test_the_time_of_a_scan_is_the_sum_of_its_frames():
+def test_a_scan_takes_the_sum_of_its_frame_times():
     """Oracle, by hand: 3 frames, each exposed for 2, 8 and 20 ms and read out 3 times."""
     exposure_s = np.full((6, 8), 0.002, dtype=np.float32)
     exposure_s[2, 3] = 0.020  # No pixel uses the exposure of 8 ms.

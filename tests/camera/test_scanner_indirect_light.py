@@ -87,7 +87,7 @@ def test_a_plane_in_direct_light_is_decoded_in_all_pixels(scanner):
     assert not wrong(depth, z_m).any()
 
 
-def test_a_mirror_image_of_another_position_is_off_its_epipolar_line(scanner):
+def test_light_mirrored_from_another_position_is_removed_by_its_epipolar_line(scanner):
     """The pixel sees only a position 60 columns and 40 rows away, in full contrast."""
     _, place = facing_plane(scanner)
     mirrored = light(scanner, place, place + np.array([60.0, 40.0]), 1.0)
@@ -97,7 +97,7 @@ def test_a_mirror_image_of_another_position_is_off_its_epipolar_line(scanner):
 
 
 @pytest.mark.slow
-def test_presets_refuse_wrong_pixels_in_mixed_light_but_a_plain_decoder_does_not(scanner):
+def test_presets_refuse_wrong_pixels_in_mixed_light_unlike_the_plain_decoder(scanner):
     """The other position is up to 200 columns and rows away, with any share of the light, blurred
     by 5 pixels. (A preset cannot detect a sharp mirror image below a fifth of the light: no value
     of the pixel shows it.)

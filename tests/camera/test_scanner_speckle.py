@@ -58,7 +58,7 @@ def errors(scanner, rendering, *, seeds=(1, 2, 3)):
 
 
 @pytest.mark.parametrize("reflectance", [0.03, 0.7])
-def test_errors_on_black_and_on_white_agree_with_sigma(scanner, light, reflectance):
+def test_speckle_errors_on_black_and_white_surfaces_agree_with_sigma(scanner, light, reflectance):
     """Speckle is most of the noise on black, photons are on white. The staircase of the sharp
     projector's pixels is common to all captures; it bends the surface and is in sigma too.
     """
@@ -68,7 +68,9 @@ def test_errors_on_black_and_on_white_agree_with_sigma(scanner, light, reflectan
 
 
 @pytest.mark.slow
-def test_an_uneven_finish_gives_the_noise_tails_but_no_more_power(scanner, light, monkeypatch):
+def test_an_uneven_finish_lengthens_the_tails_of_noise_without_adding_power(
+    scanner, light, monkeypatch
+):
     """Noise of log-normal amplitude has the kurtosis `3 exp(4 u^2)` and unchanged power, which
     sigma states; the noise of photons is even.
     """
@@ -107,7 +109,7 @@ def test_black_is_noisier_than_white_only_because_of_speckle(scanner, light):
     assert speckle[0.03] / speckle[0.7] == pytest.approx(3.37, rel=0.15)
 
 
-def test_the_uncertainty_of_depth_follows_the_law_of_dorsch_haeusler_and_herrmann(scanner, light):
+def test_speckle_uncertainty_of_depth_follows_the_law_of_dorsch_et_al(scanner, light):
     """delta z = C lambda / (2 pi sin u sin theta): u half the aperture's angle, theta that between
     the two rays, for any pixels; within a quarter, since pixels here are five speckles wide.
     """
@@ -123,7 +125,7 @@ def test_the_uncertainty_of_depth_follows_the_law_of_dorsch_haeusler_and_herrman
     assert np.sqrt(laser_m**2 - lamp_m**2) == pytest.approx(law_m, rel=0.25)
 
 
-def test_exposures_and_frames_of_a_capture_share_one_pattern_and_captures_differ(
+def test_all_frames_of_a_capture_share_one_speckle_pattern_and_captures_differ(
     scanner, light, monkeypatch
 ):
     taken = []

@@ -56,7 +56,7 @@ def obeys_photon_transfer(dn, mean_e, spec):
 
 @pytest.mark.parametrize("mean_e", [0.0, 3.0, 40.0, 63.9, 64.1, 200.0, 5000.0, 30000.0])
 @pytest.mark.parametrize("read_noise_e", [1.0, 4.0])
-def test_mean_and_variance_obey_photon_transfer(mean_e, read_noise_e):
+def test_mean_and_variance_of_a_picture_obey_the_photon_transfer_law(mean_e, read_noise_e):
     """The law of EMVA 1288 holds for both ways of drawing numbers: below and above 64 electrons."""
     spec = sensor(read_noise_e=read_noise_e)
     assert obeys_photon_transfer(frames_of(mean_e, spec), mean_e, spec)
@@ -79,7 +79,7 @@ def test_the_photon_transfer_check_notices_wrong_noise_and_wrong_gain(mean_e):
 
 
 @pytest.mark.parametrize("mean_e", [0.5, 3.0, 20.0])
-def test_low_counts_follow_the_poisson_law_exactly(mean_e):
+def test_low_electron_counts_follow_the_poisson_law_exactly(mean_e):
     """Without read noise and at one DN per electron, the oracle is chi-square of the counts."""
     spec = sensor(read_noise_e=0.0, gain_dn_per_e=1.0, offset_dn=10.0)
     counts = frames_of(mean_e, spec, frames=4).ravel().astype(int) - 10
@@ -98,7 +98,7 @@ def test_low_counts_follow_the_poisson_law_exactly(mean_e):
     assert stats.chisquare(wrong, expected * counts.size).pvalue < 1e-6  # the test can fail
 
 
-def test_photons_and_read_noise_are_independent():
+def test_photon_noise_and_read_noise_are_independent():
     """Oracle: chi-square of the convolution of Poisson and normal, binned by the converter."""
     mean_e, read_noise_e = 3.0, 1.5
     spec = sensor(read_noise_e=read_noise_e, gain_dn_per_e=4.0)
@@ -117,7 +117,7 @@ def test_photons_and_read_noise_are_independent():
     assert stats.chisquare(observed, np.append(expected[enough], rest) * dn.size).pvalue > 1e-3
 
 
-def test_many_electrons_are_normal_including_the_tails():
+def test_high_electron_counts_follow_a_normal_law_even_in_the_tails():
     dn = frames_of(10_000.0, frames=4).astype(float).ravel()
     score = (dn - 20_100.0) / math.sqrt(4 * (10_000 + 16) + 1 / 12)
     assert stats.kstest(score, "norm").pvalue > 1e-3
@@ -130,7 +130,7 @@ def correlation(a, b):
 
 
 @pytest.mark.parametrize("mean_e", [5.0, 1000.0])
-def test_frames_neighbours_and_seeds_are_independent(mean_e):
+def test_noise_is_independent_between_frames_neighbours_and_seeds(mean_e):
     dn = frames_of(mean_e, frames=8).astype(float)
     for k in range(1, 8):
         assert abs(correlation(dn[0], dn[k])) < 4
@@ -150,7 +150,7 @@ def test_one_seed_gives_one_picture_and_seed_zero_is_a_seed_like_any_other():
     assert (frames_of(50.0, seed=0) != frames_of(50.0, seed=1)).mean() > 0.9
 
 
-def test_the_picture_does_not_depend_on_the_number_of_threads():
+def test_the_number_of_threads_does_not_change_the_picture():
     before = numba.get_num_threads()
     try:
         pictures = []
@@ -178,7 +178,7 @@ def test_the_default_responsivity_follows_from_lens_pixel_and_light():
     assert abs(SensorSpec().responsivity / 2.4e5 - 1) < 0.05  # the value of the first pictures
 
 
-def test_radiance_exposure_and_background_give_electrons():
+def test_electrons_follow_from_radiance_exposure_and_background():
     """mu = (L + background) responsivity time gives the same electrons in three ways."""
     radiance = np.full((1, SIDE, SIDE), 3.0, dtype=np.float32)
     background = np.full((SIDE, SIDE), 5.0, dtype=np.float32)
@@ -198,7 +198,7 @@ def test_dark_current_adds_electrons_in_proportion_to_time(mean_e):
 
 
 @pytest.mark.parametrize("mean_e", [0.0, 20.0, 3000.0])
-def test_the_stated_variance_agrees_with_the_stored_values(mean_e):
+def test_the_stated_variance_agrees_with_the_scatter_of_stored_values(mean_e):
     """Dark current is included: for the decoder, it is a part of the signal."""
     spec = sensor(dark_current_e_s=30.0, read_noise_e=2.0)
     dn = frames_of(mean_e, spec, frames=4).astype(float)
@@ -220,7 +220,7 @@ def test_a_full_well_clips_electrons_before_read_noise_is_added():
     assert (frames_of(2000.0, sensor(full_well_e=1000.0, read_noise_e=0.0)) == 2100).all()
 
 
-def test_saturation_is_four_deviations_of_read_noise_and_offsets_below_the_well():
+def test_saturation_begins_four_deviations_of_dark_noise_below_the_full_well():
     """Oracle: the normal law; of 160,000 pixels, the share above four deviations is too small."""
     spec = sensor(full_well_e=3000.0, gain_dn_per_e=20.0, dsnu_e=4.0)
     dn = frames_of(6000.0, spec, frames=4)
@@ -232,7 +232,7 @@ def test_saturation_is_four_deviations_of_read_noise_and_offsets_below_the_well(
 
 
 @pytest.mark.parametrize("mean_e", [900.0, 1000.0, 1030.0])
-def test_near_the_well_counts_follow_a_normal_law_clipped_at_it(mean_e):
+def test_counts_near_the_full_well_follow_a_clipped_normal_law(mean_e):
     """Oracle: mean and variance of a censored normal, from its quantiles."""
     well = sensor(full_well_e=1000.0)
     sigma_e = math.sqrt(mean_e)
@@ -254,7 +254,7 @@ def test_a_saturated_converter_stores_its_largest_number(bits, dtype):
     assert converter.saturation_dn == converter.max_dn == 2**bits - 1
 
 
-def test_darkness_is_the_offset_plus_read_noise_clipped_at_zero():
+def test_a_dark_picture_is_the_offset_plus_read_noise_clipped_at_zero():
     dn = frames_of(0.0, sensor(offset_dn=0.0, read_noise_e=4.0)).astype(float)
     assert dn.min() == 0
     # Half of the normal law is clipped to 0: the mean is sigma / sqrt(2 pi).
@@ -285,7 +285,7 @@ def test_offsets_and_gains_have_the_configured_fixed_pattern():
 
 
 @pytest.mark.slow
-def test_the_fixed_pattern_belongs_to_the_sensor_and_not_to_the_capture():
+def test_the_fixed_pattern_is_equal_in_all_captures_with_one_sensor():
     spec = sensor(dsnu_e=10.0)
     first, second = (pattern_of(0.0, spec, seed=seed) for seed in (1, 2))
     assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.99
@@ -420,12 +420,12 @@ def test_impossible_exposures_are_refused(exposure_s):
         ("offset_dn", 65535.0),
     ],
 )
-def test_impossible_sensors_are_refused_by_name(name, value):
+def test_impossible_sensor_settings_are_refused_by_name(name, value):
     with pytest.raises(ValueError, match=name):
         sensor(**{name: value})
 
 
-def test_pictures_are_read_only():
+def test_captured_pictures_are_read_only():
     dn = frames_of(1.0)
     with pytest.raises(ValueError, match="read-only"):
         dn[0, 0, 0] = 1

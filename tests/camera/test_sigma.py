@@ -95,20 +95,20 @@ def test_the_terms_of_the_variance_add_up_to_the_total(scanner, capture):
     np.testing.assert_allclose(np.median(whole / (quiet + sum(alone))), 1, rtol=1e-3)
 
 
-def test_the_term_of_line_noise_follows_its_law(scanner, capture):
+def test_the_variance_from_line_noise_follows_its_law(scanner, capture):
     own = variance_m2(with_lines(scanner), capture) - variance_m2(scanner, capture)
     expected_px = PERIOD_PX / (2 * np.pi) * LINES * np.sqrt(5 / (2 * STEPS))
     np.testing.assert_allclose(np.sqrt(np.median(own)), expected_px * METRES_PER_PX, rtol=2e-3)
 
 
-def test_the_term_of_light_paths_follows_its_law(scanner, capture):
+def test_the_variance_from_light_paths_follows_its_law(scanner, capture):
     noise = path_noise(capture)
     own = variance_m2(scanner, capture, noise=noise) - variance_m2(scanner, capture)
     expected_px = np.hypot(PLACE_PX, STRAY / np.sqrt(2) * PERIOD_PX / (2 * np.pi))
     np.testing.assert_allclose(np.sqrt(np.median(own)), expected_px * METRES_PER_PX, rtol=2e-3)
 
 
-def test_the_term_of_speckle_follows_its_law(scanner, capture):
+def test_the_variance_from_speckle_follows_its_law(scanner, capture):
     """On a facing wall, a pixel's light moves the position by its distance from the centre."""
     own = variance_m2(with_speckle(scanner), capture) - variance_m2(scanner, capture)
     black = SPECKLE * pixel_contrast(scanner.sensor) * footprint_px(scanner.sensor)
@@ -120,7 +120,7 @@ def test_the_term_of_speckle_follows_its_law(scanner, capture):
     assert 0.98 * low * METRES_PER_PX < middle_m < 1.02 * high * METRES_PER_PX
 
 
-def test_the_term_of_the_raster_follows_its_law(scanner, capture):
+def test_the_variance_from_the_raster_follows_its_law(scanner, capture):
     """Law: the point is j beside the pixel, so depth is off by j times its own slope there."""
     plain = measure(scanner, capture, path_noise=None)[1]
     depth = plain.depth_m.astype(np.float64)
@@ -178,7 +178,7 @@ def codes_of(column):
 
 
 @pytest.mark.parametrize(("gamma", "steps"), [(1.5, 3), (2.2, 3), (2.2, 4)])
-def test_a_nonlinear_display_increases_sigma_by_its_error(gamma, steps):
+def test_a_nonlinear_display_adds_its_phase_error_to_sigma(gamma, steps):
     """Oracle: the true positions of the plane. A gamma of 2.2 is off by 0.3 rad in 3 steps."""
     code = CodeSpec(codec="gray_phase", axes=("column",), period_px=PERIOD_PX, steps=steps).code(
         512, 8
@@ -192,7 +192,7 @@ def test_a_nonlinear_display_increases_sigma_by_its_error(gamma, steps):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_linear_light_has_no_ripple(noise):
+def test_a_linear_display_causes_no_phase_ripple(noise):
     code = CodeSpec(codec="gray_phase", axes=("column",), period_px=PERIOD_PX, steps=3).code(
         4096, 8
     )
@@ -200,7 +200,7 @@ def test_linear_light_has_no_ripple(noise):
     assert ripple_px(codes_of(column), code) == {"column": 0.0}
 
 
-def test_the_ripple_of_two_periods_is_estimated_from_their_disagreement():
+def test_phase_ripple_is_estimated_from_the_disagreement_of_two_periods():
     code = CodeSpec(
         codec="gray_phase", axes=("column",), period_px=48.0, fine_period_px=PERIOD_PX
     ).code(4096, 8)
@@ -211,14 +211,14 @@ def test_the_ripple_of_two_periods_is_estimated_from_their_disagreement():
 # --- the list ----------------------------------------------------------------------------------
 
 
-def test_each_term_names_an_existing_function():
+def test_each_term_of_sigma_names_an_existing_function():
     for term in TERMS:
         for source in term.source.split(", "):
             module, name = f"graycast.camera.{source}".rsplit(".", 1)
             assert callable(getattr(importlib.import_module(module), name)), term.name
 
 
-def test_the_page_on_depth_has_a_row_for_each_term():
+def test_the_page_on_depth_has_a_row_for_each_term_of_sigma():
     page = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "depth.md"
     rows = [line.split("|")[1].strip() for line in page.read_text().splitlines() if "|" in line]
     assert [row for row in rows if row in {term.name for term in TERMS}] == [

@@ -75,7 +75,7 @@ def test_speckle_of_a_round_pupil_gives_the_same_contrast_within_8_percent():
 
 
 @pytest.mark.parametrize("contrast", [0.05, 0.3, 1.0])
-def test_light_is_conserved_and_has_the_requested_contrast(contrast):
+def test_speckle_conserves_light_and_has_the_requested_contrast(contrast):
     bright = field(contrast).brightness.astype(float)
     n = bright.size
     assert bright.min() >= 0
@@ -88,7 +88,7 @@ def test_light_is_conserved_and_has_the_requested_contrast(contrast):
 
 
 @pytest.mark.parametrize("sensor", [RED, FINE])
-def test_neighbours_correlate_by_the_speckles_that_they_share(sensor):
+def test_neighbouring_pixels_correlate_by_the_speckles_that_they_share(sensor):
     one = field(0.05, sensor=sensor)
     for image in (one.brightness - 1, one.right_px, one.down_px):
         image = image.astype(float)
@@ -99,7 +99,7 @@ def test_neighbours_correlate_by_the_speckles_that_they_share(sensor):
                 assert correlation == pytest.approx(expected, abs=0.02)
 
 
-def test_one_seed_gives_one_pattern_and_seeds_are_unrelated():
+def test_one_seed_gives_one_speckle_pattern_and_two_seeds_are_unrelated():
     a, b, c = field(0.2, seed=0), field(0.2, seed=0), field(0.2, seed=1)
     assert np.array_equal(a.brightness, b.brightness) and np.array_equal(a.right_px, b.right_px)
     n = a.brightness.size
@@ -112,7 +112,7 @@ def test_one_seed_gives_one_pattern_and_seeds_are_unrelated():
         assert abs((x * y).mean()) < 4 * x.std() * y.std() / math.sqrt(n)
 
 
-def test_weights_of_many_specks_move_a_pixel_s_centre_as_stated():
+def test_many_small_speckles_move_the_centre_of_a_pixel_as_stated():
     """Oracle: pixels of 24 x 24 points with independent exponential light (speckles smaller than a
     point) have the contrast 1 / 24 and the centre of their weights.
     """
@@ -125,7 +125,7 @@ def test_weights_of_many_specks_move_a_pixel_s_centre_as_stated():
     assert shift_px.std() == pytest.approx(centre.std(), rel=3 / math.sqrt(2 * 4000))
 
 
-def test_the_centre_of_a_tiny_pixel_is_uncertain_by_the_law_of_dorsch_and_others():
+def test_speckle_moves_the_centre_of_a_pixel_by_the_law_of_dorsch_et_al():
     """delta x = C lambda / (2 pi sin u), sin u = 1 / (2 N) on the sensor; for any large pixel, the
     product of contrast and footprint is of the same order: the law is independent of pixels.
     """
@@ -179,7 +179,7 @@ def ramp_speckle(right, down, bright=1.0):
     )
 
 
-def test_a_slope_has_the_depth_of_the_point_where_its_light_is_centred():
+def test_speckle_samples_a_ramp_of_light_at_the_displaced_centre():
     y, x = np.mgrid[:12, :14].astype(np.float32)
     stack = np.stack([5 + 3 * x, 90 - 2 * y, 0 * x + 7])
     picture = speckled(stack, ramp_speckle(0.2, -0.3, 1.1))[:, 1:-1, 1:-1] / 1.1
@@ -187,7 +187,7 @@ def test_a_slope_has_the_depth_of_the_point_where_its_light_is_centred():
     assert np.allclose(picture, inner + np.array([0.6, 0.6, 0])[:, None, None], atol=1e-4)
 
 
-def test_speckle_brings_no_light_across_a_silhouette_and_none_is_negative():
+def test_speckle_moves_no_light_across_a_silhouette_and_gives_none_below_zero():
     stack = np.full((1, 12, 14), 0.01, dtype=np.float32)
     stack[:, :, 7:] = 5.0
     for right in (-0.5, 0.5):
@@ -199,7 +199,7 @@ def test_speckle_brings_no_light_across_a_silhouette_and_none_is_negative():
 # --- what sigma includes -------------------------------------------------------------------------
 
 
-def test_sigma_of_a_displaced_plane_agrees_with_its_errors():
+def test_sigma_of_a_tilted_plane_agrees_with_the_errors_from_speckle():
     """Oracle: similar triangles on a tilted plane z = z0 / (1 - s x): the column of x + d is
     triangulated at x.
     """
@@ -240,7 +240,7 @@ def _codes(column):
     )
 
 
-def test_a_pixel_with_half_of_its_area_sensitive_is_every_second_pixel_of_a_finer_sensor():
+def test_a_half_sensitive_pixel_equals_every_second_pixel_of_a_finer_sensor():
     finer = replace(RED, pixel_pitch_m=RED.pixel_pitch_m / 2)
     for lag in (0, 1, 2):
         assert shared_light(RED, lag, side=0.5) == pytest.approx(

@@ -52,7 +52,7 @@ def twin(shared) -> Rig:
 
 
 @pytest.mark.slow
-def test_the_twin_of_the_sea_shell_s_scanner_has_its_modulation(twin, mitsuba_renderer):
+def test_the_simulated_sea_shell_scanner_has_the_modulation_of_the_real_one(twin, mitsuba_renderer):
     """The error is under 0.06 in the seven coarse bits; the last three have the same cliff."""
     spec = CodeSpec(codec="gray", axes=("column",), inverses=True)
     scanner = Scanner(rig=twin, code=spec, sensor=SensorSpec(bit_depth=8, gain_dn_per_e=0.025,

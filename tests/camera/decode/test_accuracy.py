@@ -113,7 +113,7 @@ def scatter_over_sigma(code, *, white_dn, disc_px, camera_px, frame_error=0.0):
     ("disc_px", "camera_px", "left"),
     [(0.0, 0.7, 0.95), (1.0, 0.7, 0.69), (1.0, 1.5, 0.57), (1.5, 1.5, 0.35), (4.0, 3.0, -0.02)],
 )
-def test_errors_of_gray_code_agree_with_sigma_for_any_blur(
+def test_errors_of_gray_code_agree_with_sigma_at_every_tested_blur(
     inverses, white_dn, disc_px, camera_px, left
 ):
     """Without the error of fine bits, the ratio is 1.7 to 3.3 if blur has removed the finest bit.
@@ -138,7 +138,7 @@ def test_errors_of_gray_code_agree_with_sigma_if_frames_differ_by_6_percent(disc
     assert 0.8 < ratio < 1.3
 
 
-def test_phases_are_ten_times_finer_than_plain_gray_in_the_same_light():
+def test_phase_errors_are_a_tenth_of_gray_code_errors_in_the_same_light():
     rms = {}
     for name, code in (("gray", gray(512, 384)), ("phase", gray_phase(512, 384))):
         u, codes = noisy(code, white_dn=3000.0)
@@ -153,7 +153,7 @@ def test_phases_are_ten_times_finer_than_plain_gray_in_the_same_light():
     [(8, 1.0, 0.0, 0.010), (8, 1.5, 0.0, 0.075), (8, 1.5, 1.0, 0.005), (16, 1.5, 0.5, 0.013)],
 )
 @pytest.mark.parametrize("make", [gray_line_shift, gray_phase])
-def test_the_staircase_of_projector_pixels_causes_the_documented_error(
+def test_wide_projector_pixels_cause_the_documented_error_of_phases(
     make, period_px, camera_px, disc_px, error_px
 ):
     """The figures come from the harmonics k P + 1 of a pattern on a pixel grid, without noise."""
@@ -171,7 +171,7 @@ def test_the_staircase_of_projector_pixels_causes_the_documented_error(
 @pytest.mark.parametrize("inverses", [False, True])
 @pytest.mark.parametrize("size", [(64, 48), (37, 22), (2, 3), (100, 1025)])
 @pytest.mark.parametrize("make", [gray, xor_gray])
-def test_every_projector_pixel_is_decoded_to_itself(make, size, inverses):
+def test_decoding_gives_every_projector_pixel_its_own_position(make, size, inverses):
     code = make(*size, axes=("column", "row"), inverses=inverses)
     row, column = np.mgrid[0 : size[1], 0 : size[0]]
     codes = decode(crisp(code, column, row), code, USUAL, SENSOR)
@@ -182,7 +182,7 @@ def test_every_projector_pixel_is_decoded_to_itself(make, size, inverses):
 
 
 @pytest.mark.parametrize("make", [gray, gray_phase, gray_line_shift, multi_frequency, micro_phase])
-def test_a_code_of_one_axis_leaves_the_other_axis_unknown(make):
+def test_a_code_of_one_axis_decodes_no_position_along_the_other_axis(make):
     at = np.linspace(5, 120, 37)[None].repeat(4, axis=0)
     code = make(128, 96, axes=("column",))
     codes = decode(frames_of(1500 * share_of_white(code, at)), code, USUAL, LEVELS)
@@ -194,7 +194,7 @@ def test_a_code_of_one_axis_leaves_the_other_axis_unknown(make):
 
 
 @pytest.mark.parametrize("missing", [1, 2, 3])
-def test_without_the_finest_bits_positions_are_the_centres_of_wider_cells(missing):
+def test_a_code_without_its_finest_bits_decodes_to_centres_of_wider_cells(missing):
     whole = gray(64, 8, axes=("column",), inverses=True)
     frames = tuple(f for f in whole.frames if f.kind != "gray" or f.bit >= missing)
     code = replace(whole, frames=frames)
@@ -205,7 +205,7 @@ def test_without_the_finest_bits_positions_are_the_centres_of_wider_cells(missin
     assert np.allclose(codes.sigma_column, cell / np.sqrt(12))
 
 
-def test_gray_bits_without_white_and_black_frames_use_their_own_threshold():
+def test_gray_bits_are_decoded_without_white_and_black_frames():
     whole = gray(64, 48)
     code = replace(whole, frames=whole.frames[2:])
     row, column = np.mgrid[1:48, 1:64]

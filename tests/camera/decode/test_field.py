@@ -19,7 +19,7 @@ def ranged(rig):
     return replace(rig, near_m=0.6, far_m=1.0)
 
 
-def test_pixels_outside_the_projector_s_picture_follow_a_closed_form_for_parallel_devices():
+def test_pixels_outside_the_projector_of_a_parallel_rig_follow_a_closed_form():
     """Oracle: similar triangles. At the depth z a camera pixel is at x = (u - c) z / f, and the
     projector lights half of its width times z / f' on either side of its axis. No depth of the
     range is lit exactly if both ends of the ray are beyond the same side.
@@ -39,7 +39,7 @@ def test_pixels_outside_the_projector_s_picture_follow_a_closed_form_for_paralle
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lens", [slow((0.0,) * 5), LENS])
-def test_no_pixel_that_can_be_lit_is_outside_the_projector_s_picture(lens):
+def test_a_pixel_that_the_projector_can_light_is_never_outside_its_picture(lens):
     """Oracle: 200 points on each ray, projected one by one."""
     rig = ranged(askew_rig(camera=optics(150, 110, 90), projector=optics(31, 26, 44)))
     rig = replace(rig, projector=replace(rig.projector, distortion=lens))
@@ -52,7 +52,7 @@ def test_no_pixel_that_can_be_lit_is_outside_the_projector_s_picture(lens):
     assert (beside | lit).mean() > 0.95
 
 
-def test_a_dark_pixel_outside_the_field_is_no_shadow_and_a_lit_one_keeps_its_code():
+def test_dark_pixels_outside_the_projector_are_no_shadow_and_lit_pixels_keep_codes():
     rig = ranged(make_rig(centred(64, 48, 70.0), centred(40, 30, 80.0)))
     beside = beside_projector(rig)
     reason = np.full((48, 64), Reason.SHADOW, dtype=np.uint8)

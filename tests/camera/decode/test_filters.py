@@ -51,7 +51,7 @@ def removed(z_m, spec, **noise):
 
 @pytest.mark.parametrize("azimuth_deg", [0, 37, 90])
 @pytest.mark.parametrize("tilt_deg", [0, 45, 70])
-def test_no_filter_removes_pixels_of_a_plane_at_any_tilt(tilt_deg, azimuth_deg):
+def test_filters_remove_no_pixel_of_a_tilted_plane(tilt_deg, azimuth_deg):
     """At four sigmas, the outlier filter removes 6 of 100,000 normal errors; here, it removes 3."""
     z_m = plane(tilt_deg, azimuth_deg)
     assert not removed(z_m, ALL).any()
@@ -59,7 +59,7 @@ def test_no_filter_removes_pixels_of_a_plane_at_any_tilt(tilt_deg, azimuth_deg):
     assert not removed(z_m, FLYING, seed=1).any()
 
 
-def test_no_filter_changes_depth_if_all_are_off_and_none_fills_holes():
+def test_filters_that_are_off_change_no_depth_and_no_filter_fills_a_hole():
     z_m = plane(30)
     z_m[50:60, 70:90] = np.nan
     noisy = depth_map(z_m, seed=1)
@@ -94,7 +94,7 @@ def test_maps_of_different_sizes_are_refused():
         ("step_angle_deg", 90.0),
     ],
 )
-def test_impossible_filters_are_refused_by_name(name, value):
+def test_impossible_filter_settings_are_refused_by_name(name, value):
     with pytest.raises(ValueError, match=name):
         FilterSpec(**{name: value})
 
@@ -118,7 +118,7 @@ def disc_on_ground(rim_px, *, random):
 
 
 @pytest.mark.parametrize("rim_px", [0.7, 1.5])
-def test_flying_pixels_are_removed_from_a_step_in_any_direction_and_its_surfaces_stay(rim_px):
+def test_flying_pixels_of_a_step_are_removed_and_its_surfaces_are_kept(rim_px):
     """Both surfaces are at least 5 mm away from the pixel: 14 pixels, or 86 degrees."""
     z_m, rim = disc_on_ground(rim_px, random=False)
     gone = removed(z_m, FLYING, seed=2)
@@ -136,7 +136,7 @@ def test_all_filters_together_leave_under_3_percent_of_the_flying_pixels_of_a_st
     assert left.sum() < 0.03 * (at_step & (filtered.reason == Reason.DECODED)).sum()
 
 
-def test_a_pixel_behind_an_edge_next_to_a_shadow_is_flying():
+def test_a_pixel_between_an_edge_and_its_shadow_is_a_flying_pixel():
     """It is behind the edge without a neighbour beyond; after a hole of two pixels is ground."""
     edge = np.full(SHAPE, 0.8)
     edge[:, 101:140], edge[:, 140:] = np.nan, 0.86
@@ -159,20 +159,20 @@ def test_a_thin_wire_and_a_smooth_steep_slope_are_not_flying_pixels():
     assert not removed(plane(80), FLYING, seed=3).any()
 
 
-def test_a_steep_flank_of_several_pixels_is_a_surface():
+def test_a_steep_flank_of_several_pixels_is_not_removed_as_flying_pixels():
     """It is between two levels at 84 degrees; from four pixels on, its ends are out of reach."""
     for width_px, stays in ((2, False), (8, True)):
         fall = np.clip(np.arange(240) - 100, 0, width_px) * 3.5e-3
         assert removed(plane() + fall, FLYING).any() != stays
 
 
-def test_coarse_depth_within_its_own_uncertainty_is_not_steep():
+def test_steps_of_plain_gray_code_depth_are_not_flying_pixels():
     """Plain Gray code's staircase: 2 mm treads on a slope, sigma 2 mm / sqrt(12)."""
     stairs = np.round(plane(40) / 2e-3) * 2e-3
     assert not removed(stairs, FLYING, sigma_m=2e-3 / math.sqrt(12)).any()
 
 
-def test_a_slope_within_three_deviations_of_noise_is_not_steep():
+def test_a_slope_within_three_sigmas_of_noise_is_not_a_flying_pixel():
     """A pixel is in the middle of a step; each slope is the limit plus some deviations of noise.
 
     The limit is tan(75) times a pixel's width at that depth; two pixels differ by sqrt(2) sigma.
@@ -193,7 +193,7 @@ def test_a_slope_within_three_deviations_of_noise_is_not_steep():
 
 @pytest.mark.parametrize("tilt_deg", [0, 60])
 @pytest.mark.parametrize("spike_sigmas", [-12.0, 9.0, 200.0])
-def test_single_outliers_are_removed_and_their_neighbours_stay(tilt_deg, spike_sigmas):
+def test_single_outliers_are_removed_and_their_neighbours_are_kept(tilt_deg, spike_sigmas):
     z_m = plane(tilt_deg, 30)
     spikes = np.zeros(SHAPE, dtype=bool)
     spikes[5::13, 7::17] = True
@@ -211,7 +211,7 @@ def test_a_group_of_four_pixels_at_one_depth_is_not_an_outlier():
     assert np.argwhere(removed(z_m, OUTLIER)).tolist() == [[40, 60], [40, 61], [41, 60]]
 
 
-def test_a_deviation_smaller_than_the_limit_relative_to_depth_stays():
+def test_deviations_below_the_limit_relative_to_depth_are_kept():
     z_m = plane()
     z_m[50, 50] += 2e-4
     z_m[90, 90] += 4e-4
@@ -253,7 +253,7 @@ def test_repaired_outliers_get_the_depth_of_the_surface_without_extra_noise(tilt
     assert np.array_equal(filtered.depth_m[untouched], noisy.depth_m[untouched])
 
 
-def test_an_outlier_without_a_whole_surface_around_it_is_removed_even_with_repair():
+def test_repair_removes_an_outlier_that_no_whole_surface_surrounds():
     """At a step, it could have one of two depths."""
     z_m = plane()
     z_m[:, 120:] += 0.05
@@ -271,7 +271,7 @@ def test_an_outlier_without_a_whole_surface_around_it_is_removed_even_with_repai
 
 
 @pytest.mark.parametrize("edge_px", [1.0, 1.5, 3.0])
-def test_edges_are_removed_up_to_their_distance_but_not_at_the_picture_s_border(edge_px):
+def test_pixels_near_depth_edges_are_removed_but_not_at_the_picture_s_border(edge_px):
     """Oracle: a distance transform of each surface; a wavy step of 3 cm, and a hole."""
     row, column = np.indices(SHAPE)
     near = column < 120 + 10 * np.sin(row / 9)
@@ -293,7 +293,7 @@ def small_parts(mask, below_px):
 
 
 @pytest.mark.parametrize("island_px", [2, 30, 200])
-def test_islands_smaller_than_the_limit_go_and_no_other_pixel(island_px):
+def test_only_pixels_of_islands_smaller_than_the_limit_are_removed(island_px):
     """Oracle: SciPy's labels for each of two levels of a percolating random pattern."""
     rng = np.random.default_rng(6)
     known, high = rng.random(SHAPE) < 0.9, rng.random(SHAPE) < 0.7
@@ -317,9 +317,7 @@ def gauss(smoothing_px):
 
 @pytest.mark.parametrize("smoothing_px", [0.4, 0.55, 1.0])
 @pytest.mark.parametrize("tilt_deg", [0, 60])
-def test_smoothed_white_noise_has_the_variance_and_correlation_of_the_kernel(
-    tilt_deg, smoothing_px
-):
+def test_the_kernel_sets_variance_and_correlation_of_smoothed_white_noise(tilt_deg, smoothing_px):
     """Closed form: variance sum k^2, the kernel's correlation. Tolerance: 4 standard errors."""
     z_m = plane(tilt_deg, 20)
     kernel = gauss(smoothing_px)
@@ -339,7 +337,7 @@ def test_smoothed_white_noise_has_the_variance_and_correlation_of_the_kernel(
         assert 0.2 < lag_1 < 0.5
 
 
-def test_the_stated_sigma_agrees_with_the_error_also_at_holes_and_borders():
+def test_sigma_of_smoothed_depth_agrees_with_its_error_even_at_holes_and_borders():
     """With uneven sigma and many holes, error over stated sigma is standard normal."""
     rng = np.random.default_rng(8)
     z_m, sigma_m = plane(50, 70), SIGMA_M * rng.uniform(0.5, 2.0, SHAPE)
@@ -362,7 +360,7 @@ def test_smoothing_does_not_bend_a_plane_at_its_borders(tilt_deg):
 
 
 @pytest.mark.parametrize("step_m", [2e-3, 20e-3])
-def test_smoothing_keeps_the_place_and_the_height_of_steps(step_m):
+def test_smoothing_keeps_position_and_height_of_a_step(step_m):
     """A difference of twenty sigmas is a step at any slope in degrees."""
     z_m = plane()
     z_m[:, 120:] += step_m

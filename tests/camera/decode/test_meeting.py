@@ -27,7 +27,7 @@ def positions(rig, coded, seed):
 
 @pytest.mark.parametrize("coded", [0, 1])
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, BEAM])
-def test_the_compiled_intersection_agrees_with_the_plain_one(coded, distortion):
+def test_the_compiled_intersection_of_rays_agrees_with_numpy(coded, distortion):
     """The tolerance is 1e-9, because OpenCV removes distortion by iteration."""
     rig = askew_rig(projector=optics(64, 48, 52, distortion=distortion))
     ray, across, along = positions(rig, coded, seed=coded)
@@ -45,7 +45,7 @@ def test_the_compiled_intersection_agrees_with_the_plain_one(coded, distortion):
 
 
 @pytest.mark.parametrize("coded", [0, 1])
-def test_a_lens_without_an_inverse_is_reported(coded):
+def test_a_lens_distortion_without_an_inverse_is_reported(coded):
     """With k1 = -2 a lens folds over at a radius of sqrt(1/6), inside of the picture."""
     rig = askew_rig(projector=optics(64, 48, 40, distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)))
     ray, across, along = positions(rig, coded, seed=coded)
@@ -55,7 +55,7 @@ def test_a_lens_without_an_inverse_is_reported(coded):
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, BEAM])
-def test_the_compiled_field_agrees_with_the_plain_one(distortion):
+def test_the_compiled_field_of_the_projector_agrees_with_numpy(distortion):
     """The projector's picture ends inside the camera's on two or more sides."""
     rig = askew_rig(
         camera=optics(150, 110, 90, distortion=LENS),
@@ -68,7 +68,7 @@ def test_the_compiled_field_agrees_with_the_plain_one(distortion):
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, LENS])
-def test_rays_and_points_of_a_mask_agree_with_those_of_the_picture(distortion):
+def test_rays_and_points_inside_a_mask_equal_the_same_pixels_of_the_picture(distortion):
     """The pixels of a mask are in row order; a single pixel has the ray of its position."""
     camera = optics(20, 14, 30, distortion=distortion)
     rng = np.random.default_rng(2)

@@ -61,7 +61,7 @@ SPECS = (
 
 @pytest.mark.parametrize("name", GRAY)
 @pytest.mark.parametrize(("levels", "dtype"), [(LEVELS_8, np.uint8), (LEVELS, np.uint16)])
-def test_both_decoders_read_a_gray_code_bit_for_bit_alike(name, levels, dtype):
+def test_plain_and_compiled_decoders_read_equal_gray_code_bits(name, levels, dtype):
     code = GRAY[name]
     stack = half_nonsense(code, levels, dtype)
     for spec in SPECS:
@@ -78,7 +78,7 @@ def test_both_decoders_read_a_gray_code_bit_for_bit_alike(name, levels, dtype):
 
 @pytest.mark.parametrize("name", PHASE)
 @pytest.mark.parametrize(("levels", "dtype"), [(LEVELS_8, np.uint8), (LEVELS, np.uint16)])
-def test_both_decoders_agree_about_phases_to_single_precision(name, levels, dtype):
+def test_plain_and_compiled_decoders_agree_about_phases_to_single_precision(name, levels, dtype):
     """The fast one computes in float32, in which a position of 90 px is precise to 1e-5 px."""
     code = PHASE[name]
     stack = half_nonsense(code, levels, dtype)
@@ -103,7 +103,7 @@ def test_the_memory_order_of_a_stack_does_not_change_its_decoding():
     assert np.array_equal(a.column, b.column, equal_nan=True)
 
 
-def test_kernels_are_compiled_once_for_each_type_of_value():
+def test_decoding_compiles_its_kernels_once_for_each_data_type():
     """Read-only stacks, or those of one or several periods, need no version of their own; each
     costs seconds in a fresh installation."""
     for name in ("phase", "three frequencies"):

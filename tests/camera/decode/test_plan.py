@@ -94,7 +94,7 @@ def is_complementary(f):
         ),
     ],
 )
-def test_a_list_of_frames_that_cannot_be_decoded_is_refused_with_what_is_missing(code, message):
+def test_the_error_for_undecodable_frames_names_the_missing_ones(code, message):
     with pytest.raises(DecodeError, match=message):
         plan_axes(code, fine_bits=3)
 
@@ -104,7 +104,7 @@ def test_the_built_in_codes_can_be_decoded(code):
     assert set(plan_axes(code, fine_bits=3)) == {"column"}
 
 
-def test_bits_may_be_in_doubt_if_a_misread_one_costs_little():
+def test_a_gray_bit_counts_against_a_pixel_only_if_misreading_it_costs_much():
     """Plain code: the three finest. With a phase: those that cost less than half a period."""
     assert [b.counts for b in plan_axes(GRAY, 3)["column"].bits] == [True] * 3 + [False] * 3
     assert all(b.counts for b in plan_axes(PHASE, 3)["column"].bits)
@@ -126,7 +126,7 @@ def test_bits_may_be_in_doubt_if_a_misread_one_costs_little():
         ("fine_bits", -1),
     ],
 )
-def test_impossible_settings_are_refused_by_name(name, value):
+def test_impossible_decode_settings_are_refused_by_name(name, value):
     with pytest.raises(ValueError, match=name):
         DecodeSpec(**{name: value})
 
@@ -139,7 +139,7 @@ def test_impossible_settings_are_refused_by_name(name, value):
         ({"slope_dn": -0.1}, "the slope not negative"),
     ],
 )
-def test_impossible_levels_are_refused(words, message):
+def test_impossible_sensor_levels_are_refused(words, message):
     usual = {"offset_dn": 10.0, "saturation_dn": 255.0, "floor_dn2": 1.0, "slope_dn": 0.1}
     with pytest.raises(ValueError, match=message):
         Levels(**usual | words)

@@ -40,14 +40,14 @@ def frame_index(code, axis, bit, inverse=False):
 
 
 @pytest.mark.slow
-def test_a_pixel_has_low_modulation_when_its_contrast_is_under_the_share_of_the_range():
+def test_contrast_below_the_set_share_of_the_sensor_range_is_low_modulation():
     code = gray(32, 16)
     spec = DecodeSpec(min_contrast=0.1)  # of 255 DN: 25.5
     assert one_pixel(code, dark=50, bright=75, spec=spec) is Reason.LOW_MODULATION
     assert one_pixel(code, dark=50, bright=76, spec=spec) is Reason.DECODED
 
 
-def test_a_pixel_has_low_modulation_when_its_contrast_is_under_min_sigmas_times_its_noise():
+def test_contrast_below_min_sigmas_times_the_noise_is_low_modulation():
     """At 50 DN the noise is sqrt(0.1 * 50 + 0.17) = 2.27 DN, at 150 DN 3.89 DN: a share of the
     range would be one limit for both.
     """
@@ -67,7 +67,7 @@ def test_a_pixel_is_in_shadow_when_its_frames_differ_by_noise_only():
     assert one_pixel(code, dark=50, bright=64) is Reason.DECODED
 
 
-def test_pure_noise_is_called_shadow_and_hardly_ever_decoded():
+def test_pure_noise_becomes_shadow_and_is_hardly_ever_decoded():
     code = gray_phase(256, 192, inverses=True)
     rng = np.random.default_rng(3)
     stack = frames_of(np.full((len(code.frames), 100, 200), 400.0), rng)
@@ -132,7 +132,7 @@ def test_saturated_frames_alone_do_not_make_a_pixel_saturated(sensor, full, inve
 
 
 @pytest.mark.parametrize("bit", range(7))
-def test_a_bit_is_saturated_if_it_and_its_inverse_are(bit):
+def test_a_gray_bit_is_saturated_only_if_its_inverse_is_saturated_too(bit):
     code = gray(128, 16, axes=("column",), inverses=True)
     pair = [frame_index(code, "column", bit, inverse) for inverse in (False, True)]
 
@@ -146,7 +146,7 @@ def test_a_bit_is_saturated_if_it_and_its_inverse_are(bit):
     assert one_pixel(code, change=the_lit_one) is Reason.DECODED
 
 
-def test_a_narrow_lit_stripe_without_inverse_is_saturated_if_its_threshold_is():
+def test_a_saturated_narrow_stripe_without_an_inverse_saturates_its_pixel():
     """Saturated stripes hide the brightness of white, and blur moves narrow ones to its middle.
 
     A saturated white frame alone does not: the lit stripes show the brightness.
@@ -160,7 +160,7 @@ def test_a_narrow_lit_stripe_without_inverse_is_saturated_if_its_threshold_is():
     assert one_pixel(code, at=97, change=white) is Reason.DECODED
 
 
-def test_a_phase_is_saturated_if_one_of_its_frames_is():
+def test_one_saturated_frame_makes_its_phase_saturated():
     code = gray_phase(256, 64, steps=8, inverses=True)
 
     def glare(kinds):
@@ -180,7 +180,7 @@ def test_a_phase_is_saturated_if_one_of_its_frames_is():
             assert one_pixel(code, change=one) is Reason.SATURATED
 
 
-def test_a_pixel_that_cannot_be_decoded_is_saturated_if_a_frame_that_the_decoder_uses_is():
+def test_an_undecoded_pixel_is_saturated_only_if_a_frame_in_use_is_saturated():
     """A white frame is not used if there are inverses and phases, so it is no reason."""
     code = gray_phase(256, 64, steps=8, inverses=True)
     phases = [k for k, f in enumerate(code.frames) if f.kind == "phase"]
@@ -224,7 +224,7 @@ def test_bright_metal_is_decoded_where_only_its_gray_bits_are_saturated(inverses
 
 
 @pytest.mark.parametrize("inverses", [False, True])
-def test_two_doubtful_coarse_bits_are_contradictory_but_one_at_its_edge_is_not(inverses):
+def test_two_doubtful_coarse_bits_contradict_but_one_bit_at_its_own_edge_does_not(inverses):
     """Pixel 127 is at the edge of bit 7 of 256 columns, where no other bit changes."""
     code = gray(256, 16, inverses=inverses)
 
@@ -251,7 +251,7 @@ def test_two_doubtful_coarse_bits_are_contradictory_but_one_at_its_edge_is_not(i
     assert one_pixel(code, at=127, change=doubt(1, 0), spec=strict) is Reason.CONTRADICTORY
 
 
-def test_a_coarse_bit_in_doubt_far_from_its_edges_is_caused_by_indirect_light():
+def test_a_doubtful_coarse_bit_far_from_its_edges_is_interreflection():
     """If misread, it costs 2 |u - edge| columns. On the sea shell, four of five such pixels were
     wrong by columns, but only one in six of all pixels.
     """
@@ -323,7 +323,7 @@ def test_phases_that_differ_by_three_deviations_are_contradictory(off_rad, reaso
     assert Reason(codes.reason[0, 0]) is reason
 
 
-def test_a_code_without_a_projector_column_is_outside_the_projector():
+def test_a_code_word_without_a_projector_column_is_outside_the_projector():
     """20 columns need 5 bits, so 12 words belong to no column; 27 in Gray code is 10110."""
     code = gray(20, 16)
 
@@ -334,7 +334,7 @@ def test_a_code_without_a_projector_column_is_outside_the_projector():
     assert one_pixel(code, change=change) is Reason.OUTSIDE_PROJECTOR
 
 
-def test_saturation_comes_before_all_other_reasons_of_a_pixel_without_a_position():
+def test_saturation_precedes_every_other_reason_for_a_pixel_without_a_position():
     """A pixel that is saturated in all frames has no contrast, but is not called shadow."""
     code = gray(256, 16)
 
@@ -530,7 +530,7 @@ def test_a_pixel_at_the_border_is_never_decoded_to_the_opposite_border(name):
     assert not (codes.reason[beyond] == Reason.DECODED).any()
 
 
-def test_the_page_of_formats_has_the_text_of_each_reason():
+def test_the_page_on_formats_quotes_the_text_for_each_reason():
     """Numbers, names and meanings are in `Reason`; the page must not differ."""
     page = (Path(__file__).resolve().parents[3] / "docs/reference/formats.md").read_text(
         encoding="utf-8"
@@ -546,7 +546,7 @@ def test_the_colours_of_reasons_differ_clearly_in_pictures():
     assert apart[~np.eye(len(color), dtype=bool)].min() > 30
 
 
-def test_a_reason_is_stored_pickled_and_compiled_as_its_number():
+def test_a_reason_is_saved_pickled_and_compiled_as_its_number():
     """Files have numbers, pickles go to other processes, and kernels use whole numbers."""
     for reason in Reason:
         assert Reason(int(reason)) is reason is pickle.loads(pickle.dumps(reason))

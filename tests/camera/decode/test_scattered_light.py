@@ -54,7 +54,7 @@ def wrong_share(code, *, direct):
 
 @pytest.mark.parametrize("direct", [0.05, 0.15, 0.3])
 @pytest.mark.parametrize("name", CODES)
-def test_flour_is_decoded_correctly_or_not_at_all(name, direct):
+def test_pixels_on_flour_are_decoded_correctly_or_refused(name, direct):
     """When only noise limited combined bits, 0.1 to 0.4 % of all pixels were wrong.
 
     With little direct light, these were most of the few decoded pixels.
@@ -63,7 +63,7 @@ def test_flour_is_decoded_correctly_or_not_at_all(name, direct):
 
 
 @pytest.mark.parametrize("name", ["XOR02", "XOR04"])
-def test_the_limit_for_flour_costs_no_pixels_with_sharp_stripes(name, monkeypatch):
+def test_the_limit_that_refuses_flour_refuses_no_pixel_with_sharp_stripes(name, monkeypatch):
     """Oracle: the plain decoder, in which only noise limits the combined bits."""
     code = CODES[name]
     column = np.random.default_rng(5).uniform(0, WIDTH - 1, (4, 1024))

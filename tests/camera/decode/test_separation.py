@@ -33,7 +33,7 @@ def groove(code, *, camera_px=0.0):
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_a_sharp_mixture_is_separated_into_its_parts(name):
+def test_sharp_stripes_separate_direct_light_from_global_light(name):
     """A window of 192 px has whole periods of all narrow stripes except for phases of odd length,
     whose remainder is under 2 % of the global light.
     """
@@ -56,7 +56,7 @@ def test_ambient_light_counts_as_global_only_without_a_black_frame(name):
     assert np.abs(estimate - around).max() < 60
 
 
-def test_blur_turns_direct_light_into_global_by_the_lost_contrast():
+def test_blur_moves_the_lost_contrast_from_direct_to_global_light():
     """A box of 4 px moves 1 - sinc(4 / 16) of a cosine of 16 px to the global light."""
     code = CODES["phase"]
     direct, around, light = groove(code, camera_px=4.0)

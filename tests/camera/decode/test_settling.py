@@ -38,7 +38,7 @@ def wrong(codes, name):
         ("micro phase, 8 px", 120.0, 0.25, 0.94),
     ],
 )
-def test_neighbours_settle_periods_that_weak_phases_leave_open_and_hardly_ever_wrongly(
+def test_neighbours_settle_uncertain_periods_and_hardly_ever_wrongly(
     name, white_dn, alone, together
 ):
     """The scene has steps of some periods, and bars of 1 to 6 pixels in front of the wall."""
@@ -76,7 +76,7 @@ def test_a_pixel_with_a_clear_period_is_never_changed(name, white_dn):
 
 
 @pytest.mark.parametrize(("rows", "columns", "settles"), [(3, 3, True), (2, 4, False)])
-def test_eight_neighbours_settle_a_period_and_seven_do_not(rows, columns, settles):
+def test_eight_agreeing_neighbours_settle_a_period_but_seven_do_not(rows, columns, settles):
     """Around lit blocks all is dark, so each pixel has the others of its block as neighbours."""
     code, frames = weak("micro phase", 120.0)
     y, x = np.indices(SHAPE)
@@ -90,7 +90,7 @@ def test_eight_neighbours_settle_a_period_and_seven_do_not(rows, columns, settle
     assert settled.mean() > 0.1 if settles else not settled.any()
 
 
-def test_settled_places_scatter_by_their_sigma():
+def test_settled_positions_scatter_by_their_sigma():
     """The period is settled; within it, the position is as noisy as its phase."""
     code, frames = weak("micro phase", 90.0)
     codes = decode(frames, code, SPEC, LEVELS)
@@ -104,7 +104,7 @@ def test_settled_places_scatter_by_their_sigma():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WEAK_CODES)
-def test_both_decoders_settle_the_same_pixels(name):
+def test_plain_and_compiled_decoders_settle_the_same_pixels(name):
     """Sums in float32 and in float64 differ near a limit, and so do pixels that depend on it."""
     code, frames = weak(name, 90.0)
     frames = np.ascontiguousarray(frames[:, 100:190, 20:140])
@@ -171,7 +171,7 @@ def test_a_region_of_contradictory_pixels_is_not_filled():
     assert (after.mark[22:38, 12:28] & Mark.SETTLED == 0).all()
 
 
-def test_neighbours_of_several_surfaces_do_not_settle_a_pixel():
+def test_neighbours_on_different_surfaces_do_not_settle_a_pixel():
     """A step of two periods is invisible in the phase."""
     x = np.broadcast_to(np.arange(SHAPE[1], dtype=float), SHAPE)
     place = 60 + 1.5 * x + 48.0 * (x >= 128)

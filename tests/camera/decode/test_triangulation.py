@@ -32,7 +32,7 @@ def code_map(column, row, *, sigma_px=0.25):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("vertical", [False, True])
-def test_depth_solves_the_three_linear_equations_of_the_paper(seed, vertical):
+def test_triangulated_depth_solves_the_published_linear_equations(seed, vertical):
     """Two rows of Mc and one of Mp, solved as a full 3 x 3 system in world coordinates (X, Y, Z)
     of a third frame: (M0 - u M2) . (X, 1) = 0. The code under test reduces them by hand.
     """
@@ -177,7 +177,7 @@ def test_a_code_along_the_wrong_axis_or_of_another_size_is_refused():
 
 @pytest.mark.parametrize("vertical", [False, True])
 @pytest.mark.parametrize("lens", [(0.0,) * 5, BEAM])
-def test_sigma_of_depth_is_the_effect_of_a_small_step_of_the_code(vertical, lens):
+def test_sigma_of_depth_equals_the_change_from_a_small_step_of_the_code(vertical, lens):
     """Oracle: a difference quotient. Distortion scales (u, v) locally, which the slope ignores."""
     rotation = turned(0.2, 0.02, 0.03) if vertical else turned(0.03, -0.2, 0.02)
     baseline = (0.02, 0.25, 0.01) if vertical else (0.25, 0.02, 0.01)
@@ -216,7 +216,7 @@ def epipolar_case(off_px, sigma_px=0.25):
     return rig, code_map(uv[..., 0], uv[..., 1] + off_px, sigma_px=sigma_px)
 
 
-def test_the_epipolar_residual_is_the_error_of_the_other_coordinate():
+def test_the_epipolar_residual_equals_the_error_of_the_redundant_coordinate():
     """With a distorted projector, a wrong row also bends the column's plane a little."""
     rig, codes = epipolar_case(0.0)
     residual = epipolar_residual_px(codes, triangulate(codes, rig), rig)
@@ -227,7 +227,7 @@ def test_the_epipolar_residual_is_the_error_of_the_other_coordinate():
     assert np.nanmax(np.abs(residual - 0.8)) < 0.1
 
 
-def test_a_point_off_its_epipolar_line_is_an_outlier_and_one_within_its_noise_is_not():
+def test_only_a_point_beyond_the_noise_off_its_epipolar_line_is_an_outlier():
     """The bound is max_epipolar_px and three sigma: 2 + 0.75 px here."""
     for off_px, expected in ((0.0, 0), (2.4, 0), (3.2, Reason.OUTLIER), (-3.2, Reason.OUTLIER)):
         rig, codes = epipolar_case(off_px)

@@ -58,11 +58,11 @@ def test_the_shadow_behind_a_block_is_restored_and_no_other_pixel_is_removed(sid
 
 
 @pytest.mark.parametrize("side", [1, -1, "down"])
-def test_no_pixel_of_an_ideal_scanner_is_removed(side):
+def test_the_visibility_filter_removes_no_pixel_of_an_ideal_scanner(side):
     assert not hidden(block(side), side).any()
 
 
-def test_the_steepest_visible_slope_stays_and_noise_does_not_break_the_order():
+def test_the_steepest_visible_slope_is_kept_even_with_noise():
     """The positions of a wall increase by a tenth of a facing wall's from pixel to pixel."""
     x = (np.arange(160) - 79.5) / F_PX
     inverse = 1 / WALL_M + 0.9 * x / BASELINE_M
@@ -72,7 +72,7 @@ def test_the_steepest_visible_slope_stays_and_noise_does_not_break_the_order():
     assert not hidden(noisy.astype(np.float32), 1, sigmas=5.0, sigma_m=3e-4).any()
 
 
-def test_a_turned_projector_has_its_own_order():
+def test_a_block_seen_with_a_toed_in_projector_has_no_outliers():
     toed = make_rig(
         centred(160, 160, F_PX),
         centred(1200, 640, 600.0),

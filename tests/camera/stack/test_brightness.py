@@ -43,7 +43,7 @@ def brighter(stack, k, factor):
 
 @pytest.mark.parametrize("factor", [slow(0.85), 1.1, slow(1.2)])
 @pytest.mark.parametrize("name", CODES)
-def test_a_brighter_phase_step_is_named_with_its_factor(name, factor):
+def test_a_phase_step_that_is_too_bright_is_named_with_its_factor(name, factor):
     """Oracle: the factor by which one frame of the first period was multiplied."""
     code = CODES[name]
     stack = shoot_cluttered(code, LOOK)
@@ -56,14 +56,14 @@ def test_a_brighter_phase_step_is_named_with_its_factor(name, factor):
 
 @pytest.mark.parametrize("name", CODES)
 @pytest.mark.parametrize("power", [slow(1.0), 0.7, slow(1.5)])
-def test_equally_bright_steps_are_not_warned_of(name, power):
+def test_equally_bright_phase_steps_cause_no_warning(name, power):
     """A nonlinear response causes harmonics, which a brighter step cannot."""
     code = CODES[name]
     stack = shoot_cluttered(code, Look(squares=0.4, blur_px=0.8, indirect=0.1)) / 255
     assert faults(code, np.rint(255 * stack**power).astype(np.uint8)) == []
 
 
-def test_no_step_is_named_for_a_period_of_which_only_a_part_is_visible():
+def test_a_partly_visible_period_causes_no_warning_about_bright_steps():
     """Less than a third of a period is visible, so mean and cosine are nearly the same."""
     code = multi_frequency(128, 96)
     stack = shoot_cluttered(code, LOOK)[:, :, 70:76]
@@ -72,7 +72,7 @@ def test_no_step_is_named_for_a_period_of_which_only_a_part_is_visible():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray, 3 steps", slow("gray, 12 steps")])
-def test_positions_move_by_at_most_the_amount_in_the_warning(name, tmp_path):
+def test_a_bright_step_moves_positions_by_at_most_the_amount_in_its_warning(name, tmp_path):
     """Oracle: the projection of the wall and the ball, and the unchanged stack."""
     code = CODES[name]
     stack = shoot_cluttered(code, Look(squares=0.4, indirect=0.0, gain=0.005, read_dn=0.3))
@@ -90,7 +90,7 @@ def test_positions_move_by_at_most_the_amount_in_the_warning(name, tmp_path):
     assert 0.6 * limit_px < np.quantile(off_px, 0.99) < 1.25 * limit_px
 
 
-def test_a_stack_without_a_lit_pixel_has_no_step_to_compare():
+def test_steps_are_not_compared_in_a_stack_without_a_lit_pixel():
     """A median of no pixels warned of an empty slice, on the terminal of whoever decoded it."""
     code = CODES["gray, 12 steps"]
     assert faults(code, np.full((len(code.frames), 8, 8), 10, np.uint8)) == []

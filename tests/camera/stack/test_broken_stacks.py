@@ -212,7 +212,7 @@ def test_pictures_that_are_all_dark_or_all_white_are_refused(level, says, make, 
 
 
 @pytest.mark.slow
-def test_overexposed_pictures_are_refused_or_cause_a_warning(make):
+def test_overexposed_pictures_are_refused_or_warned_of(make):
     """With 40 times the light, even the dark frames, 3 % of white, are saturated."""
     with pytest.raises(GraycastError, match=r"almost no pixel is decoded: .* are saturated"):
         decode_stack(make(lambda *_: None, stack=shoot(RIG, GRAY, bright=40.0)))
@@ -323,7 +323,7 @@ WARNINGS = [
 @pytest.mark.parametrize(
     ("edit", "code", "says"), WARNINGS, ids=lambda v: getattr(v, "__name__", "")
 )
-def test_a_doubtful_stack_is_decoded_with_a_warning_of_the_symptom(edit, code, says, make):
+def test_a_doubtful_stack_is_decoded_with_a_warning_that_names_the_symptom(edit, code, says, make):
     warnings = decode_stack(make(edit, code)).warnings
     assert any(re.search(says, warning) for warning in warnings), warnings
 
@@ -340,7 +340,7 @@ def test_a_wrong_period_without_gray_bits_makes_pixels_contradictory(make):
 
 
 @pytest.mark.slow
-def test_files_shifted_by_one_are_refused_with_the_first_symptom(make):
+def test_a_stack_whose_files_are_shifted_by_one_is_refused(make):
     with pytest.raises(
         GraycastError, match=r"almost no pixel is decoded.*\(white is darker than bl.*"
     ):
@@ -356,7 +356,7 @@ def test_a_rig_of_another_camera_size_is_refused(make):
         decode_stack(make(lambda *_: None), other)
 
 
-def test_a_rig_whose_baseline_is_not_coded_is_refused_before_pictures_are_read(make):
+def test_a_rig_whose_baseline_axis_has_no_code_is_refused_before_reading(make):
     def edit(content, folder):
         content["frames"] = [e for e in content["frames"] if e.get("axis") != "column"]
 

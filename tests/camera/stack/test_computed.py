@@ -30,7 +30,7 @@ def computed(code, stack, whole):
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_every_computed_inverse_is_detected_and_no_other(name):
+def test_only_inverses_that_were_computed_are_detected(name):
     code = CODES[name]
     stack = shoot_cluttered(code, Look(squares=0.3))
     white = stack.max(axis=0).astype(int) + stack.min(axis=0)
@@ -59,7 +59,7 @@ def test_noise_is_not_measured_from_computed_inverses(name):
 
 
 @pytest.mark.slow
-def test_the_warning_names_computed_inverses_and_the_loss(tmp_path):
+def test_the_warning_about_computed_inverses_names_them_and_the_loss(tmp_path):
     code = CODES["inverses"]
     stack = computed(code, shoot_cluttered(code, Look(squares=0.3)), 255)
     (warning,) = decode_stack(save(tmp_path, describe(code), stack)).warnings

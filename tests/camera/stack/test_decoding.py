@@ -79,7 +79,7 @@ def keep_all(frame):
     ],
     ids="no_white_or_black no_inverses patterns_alone 1_bit_less 2_bits_less columns".split(),
 )
-def test_a_code_without_its_finest_bits_is_decoded_to_half_of_its_cell(keep, cell_px, tmp_path):
+def test_a_stack_without_the_finest_bits_has_errors_of_at_most_half_a_cell(keep, cell_px, tmp_path):
     rig, code = small_rig(), without(CODES["gray with inverses"], keep)
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)))
     assert result.warnings == ()
@@ -164,7 +164,7 @@ def off_the_surface_m(point_m):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("vertical", [False, True])
-def test_depth_of_wall_and_ball_is_right_to_half_a_projector_pixel(vertical, tmp_path):
+def test_the_depth_of_wall_and_ball_is_correct_to_half_a_projector_pixel(vertical, tmp_path):
     rig, code = small_rig(vertical=vertical), CODES["gray with inverses"]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
     assert result.warnings == ()
@@ -192,7 +192,7 @@ def test_pixels_with_no_doubtful_bit_are_mentioned_only_without_phases(name, men
 
 @pytest.mark.slow
 @pytest.mark.parametrize("filters", [PRESET_FILTERS[0], *map(slow, PRESET_FILTERS[1:])])
-def test_filters_of_a_preset_add_no_noise_to_the_depth_of_a_stack(filters, tmp_path):
+def test_preset_filters_add_no_noise_to_the_depth_of_a_stack(filters, tmp_path):
     """The slopes of the ball showed that a preset's raster scattered the depth of real pictures."""
     rig, code = small_rig(), CODES["gray and phase"]
     path = save(tmp_path, describe(code), shoot(rig, code))
@@ -200,7 +200,7 @@ def test_filters_of_a_preset_add_no_noise_to_the_depth_of_a_stack(filters, tmp_p
     check_depth_of_no_filters(path, rig, plain, filters)
 
 
-def test_noise_does_not_remove_a_point_by_its_epipolar_line_but_a_wrong_row_does():
+def test_the_epipolar_check_removes_a_wrong_row_but_not_a_noisy_point():
     """Oracle: positions with normal noise of the stated deviation, 0.05 to 4 px."""
     rig = small_rig()
     truth, rng = view_of(rig), np.random.default_rng(6)
@@ -232,7 +232,7 @@ def test_noise_does_not_remove_a_point_by_its_epipolar_line_but_a_wrong_row_does
 
 @pytest.mark.slow
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.2, 0.1, 1e-3, -1e-3, 0.0)])
-def test_averaging_gives_one_point_per_projector_pixel_nearer_to_the_surface(distortion, tmp_path):
+def test_averaging_gives_one_more_accurate_point_per_projector_pixel(distortion, tmp_path):
     rig, code = small_rig(projector=(64, 48), distortion=distortion), gray(64, 48, inverses=True)
     path = save(tmp_path, describe(code), shoot(rig, code))
     single, joined = (decode_stack(path, rig, average=average) for average in (False, True))
@@ -245,7 +245,7 @@ def test_averaging_gives_one_point_per_projector_pixel_nearer_to_the_surface(dis
     assert fine_m < 0.4 * rough_m
 
 
-def test_two_rays_meet_in_their_point_and_miss_each_other_by_their_displacement():
+def test_the_gap_between_two_rays_is_the_displacement_of_one_of_them():
     rig = small_rig(distortion=(-0.2, 0.1, 1e-3, -1e-3, 0.0))
     rng = np.random.default_rng(5)
     point_m = rng.uniform((-0.15, -0.1, 0.6), (0.15, 0.1, 1.0), (200, 3))
@@ -273,7 +273,7 @@ def read_ply(path):
 
 
 @pytest.mark.slow
-def test_the_files_contain_the_decoded_result(tmp_path):
+def test_the_written_files_contain_the_decoded_result(tmp_path):
     rig, code = small_rig(), CODES["gray with inverses"]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
     out = tmp_path / "new" / "out"

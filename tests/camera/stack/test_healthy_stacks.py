@@ -114,7 +114,7 @@ FAULTY = ["dark squares", "squares and a shadow", "a bare wall that flickers"]
         for look in FAULTY
     ],
 )
-def test_a_fault_causes_a_warning_in_a_hard_scene_too(edit, says, look, tmp_path):
+def test_a_fault_causes_a_warning_even_in_a_hard_scene(edit, says, look, tmp_path):
     code = CODES["gray and inverses"]
     warnings = warnings_of(tmp_path, code, shoot_cluttered(code, LOOKS[look]), edit)
     assert any(says in warning for warning in warnings), warnings

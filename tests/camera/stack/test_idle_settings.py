@@ -41,7 +41,7 @@ def maps(codes: CodeMap):
 
 @pytest.mark.parametrize("setting", FAR_OFF)
 @pytest.mark.parametrize("name", CODES)
-def test_a_setting_is_called_idle_if_it_changes_no_pixel(name, setting, stacks):
+def test_a_setting_that_changes_no_pixel_is_noted_as_idle(name, setting, stacks):
     """Oracle: the decoder itself, with a value far from the default."""
     code, spec = CODES[name], DecodeSpec(**{setting: FAR_OFF[setting]})
     usual = maps(decode(stacks[name], code, DecodeSpec(), LEVELS))
@@ -58,7 +58,7 @@ def decoded(folder, code, settings, rig=None):
 
 
 @pytest.mark.slow
-def test_guards_of_a_preset_are_noted_for_gray_code_without_a_rig(tmp_path):
+def test_preset_settings_without_effect_on_gray_code_without_a_rig_are_noted(tmp_path):
     guards = {"min_visibility": 0.5, "settling_votes": 12, "max_epipolar_px": 2.0}
     result = decoded(tmp_path, CODES["gray"], guards | {"fine_bits": 3, "doubt": 0.15})
     (note,) = result.notes
@@ -77,7 +77,7 @@ def test_settings_that_are_used_or_switched_off_are_not_noted(tmp_path):
     assert decoded(tmp_path, CODES["gray"], off, small_rig()).notes == ()
 
 
-def test_guards_of_a_rig_that_is_not_in_the_stack_file_are_noted():
+def test_decode_settings_of_a_rig_file_that_a_stack_does_not_use_are_noted():
     """A stack is read with its own file, so the guards of --rig like-phoxi-m have no effect."""
     content = describe(CODES["gray"])
     rig_file = DecodeSpec(min_visibility=0.5, min_sigmas=7.0)

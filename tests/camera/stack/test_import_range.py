@@ -26,7 +26,7 @@ def sizes():
     return {"unit": "mm", "camera_size_px": None, "projector_size_px": None}
 
 
-def test_the_default_range_is_where_both_devices_see_a_common_point(tmp_path):
+def test_the_default_range_is_where_camera_and_projector_see_a_common_point(tmp_path):
     """Oracle: intersections of the borders of both fields, in the plane of both optical axes."""
     rig = small_rig()
     write(tmp_path / "rig.yaml", rig, inverse(rig.T_cam_proj))

@@ -38,7 +38,7 @@ def motions(warnings):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray", slow("gray and phase"), slow("three frequencies")])
 @pytest.mark.parametrize(("x_px", "y_px"), [(2, 1), slow(-10, 3)])
-def test_a_bump_between_columns_and_rows_is_the_only_warning(name, x_px, y_px, tmp_path):
+def test_a_bump_between_columns_and_rows_causes_only_its_own_warning(name, x_px, y_px, tmp_path):
     """Oracle: the whole pixels by which the frames of the rows were shifted."""
     code = CODES[name]
     at = next(k for k, frame in enumerate(code.frames) if frame.axis == "row")
@@ -60,7 +60,7 @@ def test_a_bump_between_a_pattern_and_its_inverse_is_named_once_with_both_frames
 
 
 @pytest.mark.slow
-def test_a_bump_during_a_steady_motion_is_distinguished_from_it():
+def test_a_bump_is_distinguished_from_a_steady_motion():
     """Oracle: 1 px to the right for each white sum, and once 3 px down."""
     code = CODES["gray"]
     stack = shoot_cluttered(code, LOOK)

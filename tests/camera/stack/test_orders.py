@@ -59,7 +59,7 @@ def backwards(content):
         "three frequencies of 3 steps",  # sums of wrong frames seem to move by 28 px
     ],
 )
-def test_pictures_in_the_opposite_order_cause_one_warning(name, tmp_path):
+def test_pictures_in_reverse_order_cause_one_warning(name, tmp_path):
     stack = np.ascontiguousarray(shoot_cluttered(CODES[name], LOOK)[::-1])
     (warning,) = warnings_of(tmp_path, name, stack, rig=small_rig())
     assert warning.startswith("the pictures are in the opposite order: state the files")
@@ -67,7 +67,7 @@ def test_pictures_in_the_opposite_order_cause_one_warning(name, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray and 8 steps", slow("gray and 3 steps"), slow("gray")])
-def test_gray_bits_in_the_opposite_order_next_to_a_phase_cause_one_warning(name, tmp_path):
+def test_gray_bits_in_reverse_order_with_a_phase_cause_one_warning(name, tmp_path):
     """The only warning was of depth outside the working range."""
     stack = shoot_cluttered(CODES[name], LOOK)
     warnings = warnings_of(tmp_path, name, stack, opposite_bits, small_rig())
@@ -78,7 +78,7 @@ def test_gray_bits_in_the_opposite_order_next_to_a_phase_cause_one_warning(name,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["half a period", slow("gray and 3 steps")])
-def test_steps_in_reverse_are_named_for_gray_cells_of_half_a_period(name, tmp_path):
+def test_reversed_steps_are_named_if_a_gray_cell_is_half_a_period(name, tmp_path):
     """Edges of half a period coincide with the phases of both directions; their change decides."""
     stack = shoot_cluttered(CODES[name], LOOK)
     warnings = warnings_of(tmp_path, name, stack, backwards)
@@ -87,7 +87,7 @@ def test_steps_in_reverse_are_named_for_gray_cells_of_half_a_period(name, tmp_pa
 
 
 @pytest.mark.slow
-def test_steps_in_reverse_without_gray_bits_are_named_in_the_refusal(tmp_path):
+def test_the_refusal_of_a_stack_without_gray_bits_names_its_reversed_steps(tmp_path):
     stack = shoot_cluttered(CODES["three frequencies"], LOOK)
     content = describe(CODES["three frequencies"])
     backwards(content)

@@ -45,7 +45,7 @@ def test_the_noise_is_estimated_from_phases_alone(name, gain):
         assert variance_dn2(estimate.levels, light_dn) == pytest.approx(true, rel=0.17)
 
 
-def test_the_noise_of_one_period_of_three_steps_is_estimated_from_neighbouring_means():
+def test_the_noise_of_three_phase_steps_is_estimated_from_neighbouring_means():
     """The smoother half of the pixels is used: without texture, the result is a fifth too low."""
     code = alone(micro_phase(128, 96))
     estimate = measure_levels(shoot(small_rig(), code, gain=0.05), code, LevelsSection())

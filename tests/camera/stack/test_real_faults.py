@@ -91,7 +91,7 @@ def test_a_real_stack_causes_no_warning(name, stacks, tmp_path):
 
 
 @pytest.mark.parametrize("name", [slow(each) for each in STACKS])
-def test_a_bump_of_a_real_camera_is_named(name, stacks, tmp_path):
+def test_a_bump_of_the_camera_in_a_real_stack_is_named(name, stacks, tmp_path):
     """Oracle: the frames of the rows were shifted by 2 px to the right and 1 px down."""
     content, stack = stacks(name)
     at = next(k for k, frame in enumerate(content["frames"]) if frame.get("axis") == "row")
@@ -112,7 +112,7 @@ def test_a_brighter_step_of_a_real_stack_is_named(name, stacks, tmp_path):
 
 
 @pytest.mark.parametrize("name", [slow(each) for each in STACKS])
-def test_real_pictures_in_the_opposite_order_are_named(name, stacks, tmp_path):
+def test_real_pictures_in_reverse_order_are_named(name, stacks, tmp_path):
     content, stack = stacks(name)
     (warning,) = warnings_of(tmp_path, content, stack[::-1])
     assert "the pictures are in the opposite order: state the files" in warning
@@ -128,7 +128,7 @@ def test_real_pictures_in_the_opposite_order_are_named(name, stacks, tmp_path):
         slow("xema_metal", 9, 10, "step01 (10.png) and column_phase_40px_step02 (09.png)"),
     ],
 )
-def test_two_exchanged_real_pictures_are_named(name, one, other, says, stacks, tmp_path):
+def test_two_exchanged_pictures_of_a_real_stack_are_named(name, one, other, says, stacks, tmp_path):
     """Stripes are not a sine even in the right order: an exchange doubles their difference."""
     content, stack = stacks(name)
     stack[[one, other]] = stack[[other, one]]

@@ -55,7 +55,7 @@ def test_a_rig_with_inverted_R_and_T_is_named(name, shots, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_stack_of_one_axis_notes_that_an_inverted_rig_cannot_be_detected(tmp_path):
+def test_a_note_says_that_one_axis_cannot_reveal_an_inverted_rig(tmp_path):
     """All points of an inverted rig were wrong without a message if no edge was visible."""
     rig = small_rig()
     path = save(tmp_path, describe(COLUMNS), shoot(rig, COLUMNS))
@@ -67,7 +67,7 @@ def test_a_stack_of_one_axis_notes_that_an_inverted_rig_cannot_be_detected(tmp_p
 
 
 @pytest.mark.slow
-def test_points_out_of_the_working_range_reveal_an_inverted_rig_of_one_axis(tmp_path):
+def test_points_beyond_the_working_range_reveal_an_inverted_rig(tmp_path):
     """The axes cross at 0.55 m; the inversion moves the wall from behind this point before it."""
     T_cam_proj = rigid(axis_rotation("y", -0.35), np.array([0.2, 0.0, 0.0]))
     tight = replace(small_rig(), T_cam_proj=T_cam_proj, near_m=0.6, far_m=0.9)
@@ -79,7 +79,7 @@ def test_points_out_of_the_working_range_reveal_an_inverted_rig_of_one_axis(tmp_
 
 
 @pytest.mark.slow
-def test_both_axes_or_an_edge_of_the_light_leave_no_doubt_about_the_rig(shots, tmp_path):
+def test_a_correct_rig_causes_no_note_for_codes_of_both_axes_or_a_visible_edge(shots, tmp_path):
     for name, (rig, code, stack) in shots.items():
         folder = tmp_path / name
         folder.mkdir()
@@ -113,7 +113,9 @@ def test_rotated_pictures_are_named_with_the_rotation_to_apply(name, turn, says,
         (-1, True, "left to right, then turn them by 90 degrees counter-clockwise"),
     ],
 )
-def test_pictures_on_their_side_are_refused_with_the_remedy(turns, mirror, says, shots, tmp_path):
+def test_pictures_rotated_by_a_quarter_turn_are_refused_with_the_remedy(
+    turns, mirror, says, shots, tmp_path
+):
     """`np.rot90` rotates counter-clockwise, so the correction is clockwise."""
     rig, code, stack = shots["both"]
     turned = np.rot90(stack, turns, axes=(1, 2))
@@ -124,7 +126,7 @@ def test_pictures_on_their_side_are_refused_with_the_remedy(turns, mirror, says,
 
 
 @pytest.mark.slow
-def test_a_real_rig_that_is_inverted_is_named_from_columns_alone(shared, tmp_path):
+def test_an_inverted_real_rig_is_detected_from_columns_alone(shared, tmp_path):
     """The sea shell: none of its 1.4 million points looked wrong, and all were."""
     scan = shared / "data" / "scans" / "sea_shell"
     if not scan.is_dir():

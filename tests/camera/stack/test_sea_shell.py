@@ -70,11 +70,11 @@ def author_m(scan):
     return table["xyz"] * np.array([1e-3, -1e-3, -1e-3])
 
 
-def test_the_sea_shell_causes_no_warning(result):
+def test_the_sea_shell_stack_causes_no_warning(result):
     assert result.warnings == ()
 
 
-def test_at_least_three_quarters_of_the_lit_pixels_decode_in_both_axes(result):
+def test_three_quarters_of_the_lit_pixels_are_decoded_along_both_axes(result):
     """A pixel is lit if its frames differ by more than six standard deviations of the noise."""
     assert result.figures.decoded_share >= 0.75
     known = result.codes.reason == 0
@@ -96,7 +96,7 @@ def test_the_epipolar_residual_agrees_with_its_known_value(result):
 
 
 @pytest.mark.parametrize("filters", PRESET_FILTERS)
-def test_filters_of_a_preset_add_no_noise_to_its_depth(result, stack_file, rig, filters):
+def test_preset_filters_add_no_noise_to_the_sea_shell_s_depth(result, stack_file, rig, filters):
     check_depth_of_no_filters(stack_file, rig, result.depth, filters)
 
 
@@ -127,7 +127,7 @@ def off_the_plane_around_px(place, known, *, window_px=25):
 
 
 @pytest.mark.parametrize("axis", ["column", "row"])
-def test_errors_of_the_bits_agree_with_sigma(result, axis):
+def test_errors_of_decoded_bits_agree_with_sigma(result, axis):
     """Errors are relative to the plane around each pixel of the shell. With noise as the only error
     of the finest bits, of modulation 0.06 and 0.30, the ratio was 1.71 in columns and 1.39 in rows.
     """
@@ -139,7 +139,7 @@ def test_errors_of_the_bits_agree_with_sigma(result, axis):
     assert 0.8 < np.sqrt(np.mean(np.square(ratio))) < 1.3
 
 
-def test_the_author_s_points_are_reproduced_to_hundredths_of_a_millimetre(result, author_m):
+def test_the_published_points_are_reproduced_to_hundredths_of_a_millimetre(result, author_m):
     ours_m = result.cloud.point_m
     away_m, _ = cKDTree(ours_m).query(author_m)
     assert len(ours_m) >= len(author_m) == 104_809
@@ -147,7 +147,7 @@ def test_the_author_s_points_are_reproduced_to_hundredths_of_a_millimetre(result
     assert (away_m < 0.5e-3).mean() >= 0.99
 
 
-def test_the_median_point_without_doubt_agrees_with_the_author_s(result, author_m):
+def test_half_of_the_undoubted_points_are_within_0_02_mm_of_the_author_s(result, author_m):
     """Only points near the author's are compared, since he left out the dim background."""
     sure_m = result.cloud.point_m[result.cloud.sure_pixels > 0]
     away_m, _ = cKDTree(author_m).query(sure_m)

@@ -54,7 +54,9 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("code", "sign", "by"), CASES)
-def test_a_wrong_direction_or_origin_is_named_with_the_right_one(code, sign, by, tmp_path):
+def test_a_wrong_phase_direction_or_origin_is_named_with_the_correct_value(
+    code, sign, by, tmp_path
+):
     """Oracle: the known renumbering of the file; its inverse gives the truth."""
     stack = shoot_cluttered(code, HARD)
     steps, period_px = next((f.steps, f.period_px) for f in code.frames if f.steps)
@@ -78,7 +80,7 @@ def test_phases_in_the_right_direction_cause_no_warning(code, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_proposed_steps_decode_to_the_truth_and_the_stated_ones_do_not(tmp_path):
+def test_the_proposed_phase_steps_decode_correctly_unlike_the_stated_steps(tmp_path):
     """Oracle: the projection of the wall and the ball. A sine in reverse, in 3 steps."""
     stack = shoot_cluttered(THREE, Look())
     truth = view_of(small_rig()).column
@@ -96,7 +98,7 @@ def test_the_proposed_steps_decode_to_the_truth_and_the_stated_ones_do_not(tmp_p
 
 
 @pytest.mark.slow
-def test_a_wrong_period_is_reported_to_agree_in_no_direction(tmp_path):
+def test_the_warning_for_a_wrong_period_says_that_no_direction_or_origin_fits(tmp_path):
     content = describe(FOUR)
     for e in content["frames"]:
         if e["kind"] == "phase" and e["axis"] == "column":
@@ -109,7 +111,7 @@ def test_a_wrong_period_is_reported_to_agree_in_no_direction(tmp_path):
 
 
 @pytest.mark.parametrize("first", [0.25, 0.75])
-def test_a_cosine_that_begins_between_steps_is_read_with_fractional_steps(first, tmp_path):
+def test_a_cosine_that_begins_between_two_steps_needs_fractional_steps(first, tmp_path):
     """Oracle: pictures computed from the cosine's formula, not by the code under test."""
     code = gray_phase(128, 96, steps=3)
     truth = view_of(small_rig()).column
@@ -129,7 +131,7 @@ def test_a_cosine_that_begins_between_steps_is_read_with_fractional_steps(first,
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("steps", "worst"), [(3, 1 / 12), (4, 1 / 8), (8, 1 / 16)])
-def test_stripes_in_place_of_a_cosine_have_the_error_stated_in_docs_stacks(steps, worst, tmp_path):
+def test_stripes_instead_of_a_cosine_cause_the_documented_error(steps, worst, tmp_path):
     """Oracle: the formula of sharp stripes, and the error of their odd harmonics in closed form.
 
     Of N shifts, only harmonics next to multiples of N are left; the largest error is 1 / (4 N) for

@@ -21,7 +21,7 @@ def files(tmp_path):
     return paths
 
 
-def test_reading_needs_little_memory_in_addition_to_the_stack(files):
+def test_reading_pictures_needs_little_memory_beyond_the_stack(files):
     """Pictures that waited for the last one doubled the memory: 440 MB for 44 pictures of 5 MP."""
     read_pictures(files[:2])
     tracemalloc.start()

@@ -59,7 +59,7 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "one", "other"), CASES)
-def test_two_exchanged_pictures_are_the_only_warning(name, one, other, tmp_path):
+def test_two_exchanged_pictures_cause_only_their_own_warning(name, one, other, tmp_path):
     """Oracle: the two exchanged pictures. All other pairs of four to six steps are excluded."""
     (warning,) = warnings_of(tmp_path, name, one, other)
     assert named(warning) == [(one, other)], warning
@@ -69,7 +69,9 @@ def test_two_exchanged_pictures_are_the_only_warning(name, one, other, tmp_path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("one", "other", "twin"), [(0, 1, (2, 3)), slow(1, 2, (0, 3))])
-def test_both_possible_pairs_are_named_if_no_gray_bits_distinguish_them(one, other, twin, tmp_path):
+def test_an_exchange_without_gray_bits_is_named_with_its_two_possible_pairs(
+    one, other, twin, tmp_path
+):
     """Oracle: 1, 0, 2, 3 with the last two exchanged is 1 - k, a sine in reverse."""
     (warning,) = warnings_of(tmp_path, "three frequencies", one, other)
     assert named(warning) == sorted([(one, other), twin]), warning
@@ -79,9 +81,7 @@ def test_both_possible_pairs_are_named_if_no_gray_bits_distinguish_them(one, oth
 @pytest.mark.parametrize(
     ("name", "one", "other"), [("three", 0, 1), slow("three", 1, 2), ("four", 1, 3)]
 )
-def test_an_exchange_that_equals_a_reversed_sine_is_named_before_the_reversal(
-    name, one, other, tmp_path
-):
+def test_an_exchange_that_looks_like_a_reversed_sine_is_named_first(name, one, other, tmp_path):
     """Oracle: k and c - k differ in two of three steps, or of four if c is even."""
     (warning,) = warnings_of(tmp_path, name, one, other)
     first, second = warning.split(" may be exchanged, or ")
@@ -100,7 +100,7 @@ def test_a_copied_picture_is_reported_as_a_copy_and_not_as_an_exchange(tmp_path)
 
 
 @pytest.mark.slow
-def test_a_brighter_step_is_named_even_if_another_period_has_exchanged_pictures(tmp_path):
+def test_a_bright_step_is_named_even_if_another_period_has_exchanged_pictures(tmp_path):
     """Only the period with the exchange is not checked for equal brightness."""
     code = CODES["three frequencies"]
     stack = shoot_cluttered(code, HARD).astype(float)
@@ -114,7 +114,7 @@ def test_a_brighter_step_is_named_even_if_another_period_has_exchanged_pictures(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("power", [slow(0.6), 1.8])
-def test_a_nonlinear_response_neither_hides_nor_simulates_an_exchange(power, tmp_path):
+def test_a_nonlinear_response_neither_hides_nor_imitates_exchanged_pictures(power, tmp_path):
     code = CODES["eight"]
     stack = shoot_cluttered(code, Look(squares=0.4, blur_px=0.8, indirect=0.1)) / 255
     stack = np.rint(255 * stack**power).astype(np.uint8)

@@ -66,7 +66,7 @@ def one_reflection(wi, wo, along, across):
         for turn in (0, 30, 45, 70, 90)
     ],
 )
-def test_white_metal_with_grooves_reflects_all_light(
+def test_white_metal_with_grooves_absorbs_no_light(
     cpu_device, roughness, anisotropy, limit, turn_deg, angle_deg
 ):
     """The limits are those in `grained_lost_share`."""
@@ -78,7 +78,7 @@ def test_white_metal_with_grooves_reflects_all_light(
 
 
 @pytest.mark.parametrize(("roughness", "anisotropy"), SHAPES)
-def test_the_lobe_has_the_shape_of_the_published_formula(cpu_device, roughness, anisotropy):
+def test_the_grooved_lobe_has_the_published_shape(cpu_device, roughness, anisotropy):
     """The compensation is one factor for all outgoing directions: for white metal 1 / E, with E as
     a sum over a fine grid of directions.
     """
@@ -99,7 +99,7 @@ def test_the_lobe_has_the_shape_of_the_published_formula(cpu_device, roughness, 
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
-def test_without_anisotropy_it_is_the_plain_metal(cpu_device, roughness):
+def test_grooved_metal_without_anisotropy_equals_plain_metal(cpu_device, roughness):
     """Only the last digits of float32 may differ."""
     import mitsuba as mi
 
@@ -116,7 +116,9 @@ def test_without_anisotropy_it_is_the_plain_metal(cpu_device, roughness):
 
 @pytest.mark.parametrize(("roughness", "anisotropy"), SHAPES)
 @pytest.mark.parametrize(("angle_deg", "turn_deg"), [(50, 25), (75, 80)])
-def test_weights_are_value_over_density(cpu_device, roughness, anisotropy, angle_deg, turn_deg):
+def test_sample_weights_are_the_value_divided_by_the_density(
+    cpu_device, roughness, anisotropy, angle_deg, turn_deg
+):
     bsdf, wi = metal(*widths(roughness, anisotropy)), leaning(angle_deg, turn_deg)
     wo, density, weight = samples_of(bsdf, wi, 5000)
     above = weight[0] > 0
@@ -130,7 +132,7 @@ def test_weights_are_value_over_density(cpu_device, roughness, anisotropy, angle
 @pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "anisotropy"), [(0.5, 0.6), (0.6, 0.9)])
 @pytest.mark.parametrize(("angle_deg", "turn_deg"), [(0, 0), (50, 25), slow(75, 80)])
-def test_densities_integrate_to_one_and_samples_follow_them(
+def test_sample_densities_integrate_to_one_and_samples_follow_them(
     cpu_device, roughness, anisotropy, angle_deg, turn_deg
 ):
     bsdf, wi = metal(*widths(roughness, anisotropy)), leaning(angle_deg, turn_deg)
@@ -139,7 +141,7 @@ def test_densities_integrate_to_one_and_samples_follow_them(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [0, 60])
-def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
+def test_samples_reflect_the_same_light_and_mean_direction_as_values(cpu_device, angle_deg):
     """The reflected light and its mean direction, from samples and from a sum of values."""
     bsdf, wi, n = metal(*widths(0.7, 0.8)), leaning(angle_deg, 25), 400_000
     wo, _, weight = samples_of(bsdf, wi, n)
@@ -152,7 +154,7 @@ def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "limit"), [(0.3, 1.05), (0.5, 1.04)])
-def test_the_error_of_reciprocity_is_below_the_documented_one(cpu_device, roughness, limit):
+def test_the_reciprocity_error_is_below_its_documented_limit(cpu_device, roughness, limit):
     """The table in docs/explanation/light.md: within 60 degrees, at anisotropy 0.8."""
     import mitsuba as mi
 
@@ -249,7 +251,7 @@ def test_grooves_rotate_with_each_instance(cpu_device, turned):
     assert 1 < np.median(ratio) < 1.06
 
 
-def test_samples_are_reflected_by_the_grooves_of_their_plate(cpu_device):
+def test_sampled_directions_follow_the_grooves_of_each_plate(cpu_device):
     """On a plate with diagonal grooves, each weight is value over density, evaluated again."""
     import mitsuba as mi
 
@@ -268,7 +270,7 @@ def test_samples_are_reflected_by_the_grooves_of_their_plate(cpu_device):
     assert np.abs(value / density / weight - 1).max() < 2e-3
 
 
-def test_a_faced_disc_reflects_light_on_a_line_through_its_centre(cpu_device):
+def test_a_lathe_faced_disc_shines_along_a_line_through_its_centre(cpu_device):
     """Grooves are circles, so a point shines if the half vector is at right angles to them: on the
     line from the centre along the half vector's projection, for any rotation of the disc about its
     axis. A disc brushed in one direction shines evenly.
@@ -288,7 +290,7 @@ def test_a_faced_disc_reflects_light_on_a_line_through_its_centre(cpu_device):
         assert np.ptp(even) < 0.01 * even.max()
 
 
-def test_a_turned_cylinder_has_a_narrow_highlight_and_a_drawn_one_a_wide_highlight(cpu_device):
+def test_grooves_around_a_cylinder_give_a_narrower_highlight_than_grooves_along_it(cpu_device):
     """Seen and lit from far away, all points have the same half vector h. Grooves around the axis
     spread light along it: a line at the azimuth of h, whose width is the roughness across the line.
     Grooves along the axis spread light around it: the line is wider.
@@ -318,7 +320,7 @@ def test_a_turned_cylinder_has_a_narrow_highlight_and_a_drawn_one_a_wide_highlig
     assert abs(wide[False] / (2 * wide_alpha * np.sqrt(np.sqrt(2) - 1)) - 1) < 0.2
 
 
-def test_plain_metal_has_no_grain_on_its_mesh(cpu_device):
+def test_a_mesh_of_plain_metal_has_no_grain_attribute(cpu_device):
     import mitsuba as mi
 
     from graycast.rendering.mitsuba.scene import _mesh
@@ -329,7 +331,7 @@ def test_plain_metal_has_no_grain_on_its_mesh(cpu_device):
 
 
 @pytest.mark.slow
-def test_a_half_metallic_surface_has_half_of_the_grooves_and_half_of_the_plastic(cpu_device):
+def test_a_half_metallic_surface_mixes_grooved_metal_and_plastic_equally(cpu_device):
     grain = Grain(axis=(0.6, 0.8, 0.0))
     looks = [
         Material(metallic=m, roughness=0.35, anisotropy=a, grain=grain)

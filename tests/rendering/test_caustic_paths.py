@@ -125,7 +125,7 @@ def agreement(pictures, picture, template):
     return each.mean(), each.std(ddof=1) / np.sqrt(len(each))
 
 
-def test_a_mirror_s_patch_of_light_has_the_expected_radiance_and_blur(runs, expected):
+def test_light_reflected_by_a_mirror_has_the_expected_radiance_and_blur(runs, expected):
     """The borders of the patch remain when a mean over 5 x 5 pixels is subtracted."""
     white, _ = expected
     pictures = [run.white / SAMPLES for run in runs]
@@ -136,7 +136,7 @@ def test_a_mirror_s_patch_of_light_has_the_expected_radiance_and_blur(runs, expe
     assert abs(sharpness - 1) < 4 * error
 
 
-def test_stripes_in_a_mirror_s_light_have_the_blur_of_the_projector(runs, expected):
+def test_stripes_reflected_by_a_mirror_have_the_blur_of_the_projector(runs, expected):
     _, wave = expected
     contrast, error = agreement([run.wave - run.white / 2 for run in runs], wave, wave)
     contrast, error = contrast / SAMPLES, error / SAMPLES
@@ -144,7 +144,7 @@ def test_stripes_in_a_mirror_s_light_have_the_blur_of_the_projector(runs, expect
     assert abs(contrast - 1) < 4 * error
 
 
-def test_the_variance_of_one_path_s_light_is_its_square(open_tracer):
+def test_the_variance_of_a_single_path_is_the_square_of_its_light(open_tracer):
     """Lines that are alternately bright and dark differ from their mean by the path's whole light.
     The variance is at most the square of the sum, and equal to it if a pixel has one path.
     """
@@ -156,7 +156,7 @@ def test_the_variance_of_one_path_s_light_is_its_square(open_tracer):
     assert (ratio > 0.9999).mean() > 0.4
 
 
-def test_paths_beyond_two_to_the_32_start_at_even_distances(open_tracer):
+def test_paths_are_evenly_spaced_even_beyond_two_to_the_32(open_tracer):
     """Oracle: Python's own integers, which have no limit."""
     from graycast.rendering.mitsuba.projector import CELL_PX, R2_STEPS
 
@@ -192,7 +192,7 @@ def test_a_picture_of_more_than_two_to_the_32_paths_is_rendered(open_tracer, exp
 
 
 @pytest.mark.parametrize("samples", [1, 256, 257, MOST_SAMPLES])
-def test_the_brightest_light_of_every_sample_does_not_overflow_a_sum(open_tracer, samples):
+def test_a_sum_of_the_brightest_samples_does_not_overflow(open_tracer, samples):
     """A sum of 2^64 would start again at 0."""
     from graycast.rendering.mitsuba.caustics import BRIGHTEST
 

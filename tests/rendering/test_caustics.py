@@ -89,7 +89,7 @@ def lit_walls(renderer, *surfaces, pattern, seeds, samples=64):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.01, slow(0.05)])
-def test_a_mirror_lights_the_wall_as_the_projector_s_mirror_image_does(mitsuba_renderer, roughness):
+def test_a_mirror_lights_a_wall_like_a_mirror_image_of_the_projector(mitsuba_renderer, roughness):
     """Irradiance, edges and columns in closed form; facets blur the edges by one or two pixels."""
     mirror = strip(metal(roughness))
     runs = lit_walls(mitsuba_renderer, mirror, pattern=ramp(RIG), seeds=range(6))
@@ -203,7 +203,7 @@ def z_of(a, b):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
-def test_both_kinds_of_paths_give_the_light_of_very_many_camera_paths(
+def test_camera_and_projector_paths_together_agree_with_brute_force(
     mitsuba_renderer, from_the_camera_alone, case
 ):
     """The oracle is brute force: 32,768 camera paths per pixel. A weight, Jacobian or pupil wrong
@@ -220,7 +220,9 @@ def test_both_kinds_of_paths_give_the_light_of_very_many_camera_paths(
 
 
 @pytest.mark.slow
-def test_each_kind_of_path_alone_gives_the_same_energy(mitsuba_renderer, monkeypatch):
+def test_camera_paths_alone_and_projector_paths_alone_give_equal_energy(
+    mitsuba_renderer, monkeypatch
+):
     """All light of shiny surfaces from the projector's side, and all of it from the camera's; on
     the rough metal, both have little noise.
     """
@@ -239,7 +241,7 @@ def test_each_kind_of_path_alone_gives_the_same_energy(mitsuba_renderer, monkeyp
 
 
 @pytest.mark.slow
-def test_a_matt_room_is_the_same_with_both_kinds_of_paths(mitsuba_renderer, monkeypatch):
+def test_projector_paths_do_not_change_the_mean_light_in_a_matt_room(mitsuba_renderer, monkeypatch):
     """Without shiny surfaces, no path starts at the projector; if all count as shiny, the mean is
     equal.
     """
@@ -294,7 +296,7 @@ def test_light_transport_is_reciprocal(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_one_seed_gives_one_picture(mitsuba_renderer):
+def test_one_seed_gives_one_picture_of_a_caustic(mitsuba_renderer):
     """Threads add to one pixel in any order."""
     scene = room(CAMERA, PROJECTOR, metal(0.1))
     a, b = (pictures(mitsuba_renderer, scene, samples=64, seeds=[3]) for _ in range(2))
@@ -303,7 +305,9 @@ def test_one_seed_gives_one_picture(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_light_tracing_has_a_hundredth_of_the_variance(mitsuba_renderer, from_the_camera_alone):
+def test_tracing_light_from_the_projector_reduces_variance_a_hundredfold(
+    mitsuba_renderer, from_the_camera_alone
+):
     """At roughness 0.1, paths from the camera hit the strip's light by chance."""
 
     def variance():
@@ -334,7 +338,7 @@ def test_the_stated_path_noise_includes_caustics(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_cycles_renders_the_same_caustic(mitsuba_renderer, cycles_renderer):
+def test_cycles_renders_the_same_caustic_as_mitsuba(mitsuba_renderer, cycles_renderer):
     """Another program, with camera paths only: the wall in four strips, to 3 %."""
 
     def strips(renderer, samples):

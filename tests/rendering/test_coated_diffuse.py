@@ -57,7 +57,7 @@ def test_the_coated_material_is_reciprocal(cpu_device, alpha):
 
 
 @pytest.mark.parametrize("alpha", [0.09, 0.49, 1.0])
-def test_a_coat_over_black_has_the_published_shape(cpu_device, alpha):
+def test_the_lobe_of_a_coat_over_black_has_the_published_shape(cpu_device, alpha):
     """F D G2 / (4 cos cos): D by the tangent (Walter), G2 by Lambda (Heitz), F by Snell's law."""
     import mitsuba as mi
 
@@ -81,7 +81,7 @@ def test_a_coat_over_black_has_the_published_shape(cpu_device, alpha):
 
 @pytest.mark.parametrize("alpha", ALPHAS)
 @pytest.mark.parametrize("cosine", [0.98, 0.6, 0.2])
-def test_samples_agree_with_the_density_and_the_value(cpu_device, alpha, cosine):
+def test_samples_of_the_coated_material_agree_with_its_density_and_value(cpu_device, alpha, cosine):
     """The mean weight of samples is the integral of the value, and the mean of 1 over their density
     is the solid angle of a cap that they can reach.
     """
@@ -111,7 +111,7 @@ def test_samples_agree_with_the_density_and_the_value(cpu_device, alpha, cosine)
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.5, 1.0])
-def test_a_coat_over_a_white_base_reflects_all_light(mitsuba_renderer, roughness):
+def test_a_coat_over_a_white_base_absorbs_no_light(mitsuba_renderer, roughness):
     """Furnace: E + base (1 - E) is 1 for a white base, and linear in the base for any other."""
     rig = make_rig(centred(24, 24, 40), centred(8, 8, 8))
     sky = Environment(radiance=(1.0, 1.0, 1.0))
@@ -133,7 +133,7 @@ def test_a_coat_over_a_white_base_reflects_all_light(mitsuba_renderer, roughness
     assert 0.01 < black < 0.2
 
 
-def test_a_smooth_coat_over_black_has_fresnel_s_reflectance_at_an_angle(mitsuba_renderer):
+def test_a_smooth_coat_over_black_has_fresnel_s_reflectance_at_60_degrees(mitsuba_renderer):
     """At 60 degrees an index of 1.5 reflects 8.9 % (Fresnel, by hand)."""
     import mitsuba as mi
 
@@ -150,7 +150,7 @@ def test_a_smooth_coat_over_black_has_fresnel_s_reflectance_at_an_angle(mitsuba_
     assert abs(np.array(weight)[0].mean() / expected - 1) < 0.01
 
 
-def test_a_wall_with_a_coat_is_not_darker_than_without(mitsuba_renderer):
+def test_a_coat_does_not_darken_a_white_wall(mitsuba_renderer):
     """White light on a white wall at normal incidence: 1 with and without the coat."""
     rig = make_rig(centred(16, 16, 100), centred(8, 8, 8))
     sky = Environment(radiance=(1.0, 1.0, 1.0))

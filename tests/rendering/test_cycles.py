@@ -99,7 +99,7 @@ def assert_same_bits(one, other):
 
 
 @ON_LINUX
-def test_a_child_that_is_killed_in_a_scene_is_replaced_and_every_frame_is_rendered_once(
+def test_a_child_killed_during_a_scene_is_replaced_and_no_frame_is_lost_or_repeated(
     open_cycles, cycles_renderer
 ):
     """It is killed in its third frame; the bits are the same as without."""
@@ -123,7 +123,7 @@ def test_a_child_that_is_killed_in_a_scene_is_replaced_and_every_frame_is_render
 
 
 @ON_LINUX
-def test_a_scene_that_kills_every_child_gives_one_error_and_the_next_scene_is_rendered(open_cycles):
+def test_a_scene_that_kills_every_child_gives_one_error_and_the_next_succeeds(open_cycles):
     before, deaths = set(children(os.getpid())), []
 
     def on_frame(count, total):
@@ -158,7 +158,7 @@ for seed in range(10**6):
 
 
 @ON_LINUX
-def test_the_child_ends_with_a_parent_that_is_killed(open_cycles):
+def test_the_child_process_ends_if_its_parent_is_killed(open_cycles):
     """It is killed during a frame that takes a minute."""
     open_cycles()  # or skip
     program = PARENT.format(tests=str(Path(__file__).parents[1]))
@@ -185,7 +185,7 @@ def rss_mib(pid):
 
 
 @ON_LINUX
-def test_one_child_renders_many_scenes_without_using_more_memory(open_cycles):
+def test_rendering_many_scenes_in_one_child_does_not_increase_its_memory(open_cycles):
     """Each scene has 5 MiB of new meshes and textures, so that leaks would be noticed."""
     before = set(children(os.getpid()))
     renderer, rng = open_cycles(), np.random.default_rng(0)
@@ -212,7 +212,7 @@ def test_one_child_renders_many_scenes_without_using_more_memory(open_cycles):
 
 
 @pytest.mark.parametrize("kind", ["missing", "no program", "without Blender"])
-def test_a_python_that_cannot_run_cycles_is_named(monkeypatch, tmp_path, kind):
+def test_the_error_for_a_python_without_cycles_names_this_python(monkeypatch, tmp_path, kind):
     """It is noticed before anything is rendered."""
     place = {"missing": tmp_path / "gone", "no program": tmp_path / "text"}
     (tmp_path / "text").write_text("not a program")
@@ -223,7 +223,7 @@ def test_a_python_that_cannot_run_cycles_is_named(monkeypatch, tmp_path, kind):
         open_renderer("cycles", device="cpu")
 
 
-def test_an_error_of_cycles_has_its_reason_and_the_next_scene_is_rendered(
+def test_an_error_in_cycles_states_its_reason_and_the_next_scene_is_rendered(
     cycles_renderer, tmp_path
 ):
     scene, pattern = small_scene()
@@ -236,7 +236,7 @@ def test_an_error_of_cycles_has_its_reason_and_the_next_scene_is_rendered(
     assert np.isfinite(render_small(cycles_renderer).truth.depth_m).all()
 
 
-def test_blender_is_imported_by_the_child_only(cycles_renderer):
+def test_only_the_child_process_imports_blender(cycles_renderer):
     render_small(cycles_renderer)
     assert "bpy" not in sys.modules and "_cycles" not in sys.modules
     imports = re.compile(r"^\s*(import|from) (bpy|_cycles|mathutils)\b", re.MULTILINE)
@@ -352,7 +352,7 @@ def test_three_patterns_in_one_render_need_one_wavelength_or_grey_surfaces(open_
 
 
 @pytest.mark.parametrize("per_render", [1, 3])
-def test_white_is_rendered_once_and_black_never(open_cycles, per_render):
+def test_a_white_pattern_is_rendered_once_and_a_black_pattern_never(open_cycles, per_render):
     rig = askew_rig(camera=optics(24, 18, 30))
     frames = []
     renderer = open_cycles(patterns_per_render=per_render, on_frame=lambda *end: frames.append(end))
@@ -385,7 +385,7 @@ def test_light_that_cycles_cannot_render_is_refused(cycles_renderer, rig, says):
 
 
 @pytest.mark.parametrize("weights", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
-def test_light_of_one_wavelength_is_denoised_in_grey(cycles_renderer, weights):
+def test_cycles_denoises_light_of_one_wavelength_in_grey(cycles_renderer, weights):
     """A denoiser blurs the stripes of a picture in one pure colour; in grey it works as for white
     light, and the colour picture keeps its colour.
     """

@@ -16,7 +16,7 @@ from graycast.world.scene import Quad
 
 
 @pytest.mark.parametrize("z_m", [0.5, 0.7, 1.0, 1.6])
-def test_stripes_lose_contrast_with_distance_as_the_blur_disc_predicts(mitsuba_renderer, z_m):
+def test_defocused_stripes_lose_contrast_as_the_blur_disc_predicts(mitsuba_renderer, z_m):
     """Transfer of a disc at frequency 1 / P: 2 J1(x) / x, x = 2 pi R / P, below 0 beyond its first
     zero (Goodman, "Introduction to Fourier Optics"); each pixel adds a sinc.
     """
@@ -76,7 +76,7 @@ def ramp_error_px(renderer, rig, *, samples, seeds):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("soft", [False, True])
-def test_a_ramp_on_a_tilted_plane_has_its_exact_position_without_noise(mitsuba_renderer, soft):
+def test_a_defocused_ramp_on_a_tilted_plane_keeps_its_exact_position(mitsuba_renderer, soft):
     """Mirrored samples cancel in any linear picture. The rest is rounding to the projector's
     pixels, 1 / sqrt(12) of a sixteenth of a pixel over 4 for 16 samples, and curvature.
     """
@@ -123,7 +123,9 @@ def simulated_over_measured(renderer, shared, device, z, blur, lens_of):
 
 
 @pytest.mark.slow
-def test_the_blur_of_a_measured_camera_follows_its_curve_at_all_distances(mitsuba_renderer, shared):
+def test_the_blur_of_a_measured_camera_follows_its_curve_at_every_distance(
+    mitsuba_renderer, shared
+):
     """scanner_sim's camera (CC BY 4.0), with the aperture and focus of its file. The measure is the
     deviation of the edge's line spread. One factor is fitted, and is near the expected one.
     """
@@ -136,7 +138,7 @@ def test_the_blur_of_a_measured_camera_follows_its_curve_at_all_distances(mitsub
 
 
 @pytest.mark.slow
-def test_the_blur_of_a_measured_projector_has_its_shape_at_all_distances(mitsuba_renderer, shared):
+def test_the_blur_of_a_measured_projector_has_its_shape_at_every_distance(mitsuba_renderer, shared):
     """scanner_sim's projector: the curve, scaled to a largest value of 1, is met within 0.1.
 
     It is not met within 10 % point by point: between 0.35 and 0.595 m the published figures are up
@@ -156,7 +158,7 @@ def test_the_blur_of_a_measured_projector_has_its_shape_at_all_distances(mitsuba
     assert off[best].max() < 0.10
 
 
-def test_the_blur_radius_in_the_renderer_is_that_of_optics(mitsuba_renderer):
+def test_the_renderer_and_the_optics_module_use_equal_blur_radii(mitsuba_renderer):
     """Others use `optics.blur_radius_px` to plan."""
     lens = blurred(centred(96, ROWS, 300.0), 0.5, psf_px=2.0)
     deviation, error = camera_spread(mitsuba_renderer, lens, 0.9, samples=256)

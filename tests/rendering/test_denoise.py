@@ -19,7 +19,7 @@ def noisy_wall(h, w):
     return clean, clean + rng.normal(0, 0.1, clean.shape), np.full(clean.shape, 0.5), normal
 
 
-def test_denoising_removes_noise_keeps_light_and_builds_a_network_per_size():
+def test_denoising_reduces_noise_keeps_light_and_builds_one_network_per_size():
     by = open_denoiser("cpu")
     for h, w in ((48, 64), (48, 64), (64, 48)):
         clean, noisy, albedo, normal = noisy_wall(h, w)
@@ -30,7 +30,7 @@ def test_denoising_removes_noise_keeps_light_and_builds_a_network_per_size():
         assert np.array_equal(result, pyoidn.denoise(*inputs, hdr=True))
 
 
-def test_if_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(monkeypatch):
+def test_if_the_gpu_cannot_denoise_the_processor_denoises_and_a_line_is_logged(monkeypatch):
     monkeypatch.setattr(pyoidn.Device, "is_cuda_available", staticmethod(lambda: False))
     with TestCase().assertLogs() as logs:
         by = open_denoiser("cuda")

@@ -45,7 +45,7 @@ def make_library(folder, name, *, header=None):
         ("libLLVM.so.100.0", 100),
     ],
 )
-def test_the_release_is_read_from_the_usual_names(tmp_path, name, major):
+def test_the_llvm_release_is_read_from_common_file_names(tmp_path, name, major):
     path = make_library(tmp_path, name)
     assert [(library.path, library.major) for library in list_llvm([tmp_path])] == [(path, major)]
 
@@ -53,12 +53,12 @@ def test_the_release_is_read_from_the_usual_names(tmp_path, name, major):
 @pytest.mark.parametrize(
     "name", ["libLLVM.so", "libLLVM-C.so", "libLLVM-19-rust-1.82.0-stable.so", "libLLVMCore.so.19"]
 )
-def test_names_without_a_release_are_ignored(tmp_path, name):
+def test_library_names_without_a_release_are_ignored(tmp_path, name):
     make_library(tmp_path, name)
     assert list_llvm([tmp_path]) == ()
 
 
-def test_files_of_another_machine_and_other_files_are_ignored(tmp_path):
+def test_libraries_for_another_machine_and_other_files_are_ignored(tmp_path):
     own = bytearray(Path(sys.executable).read_bytes()[:64])
     other_size, other_machine = own.copy(), own.copy()
     other_size[4] ^= 3  # 64 bit to 32 bit
@@ -70,7 +70,9 @@ def test_files_of_another_machine_and_other_files_are_ignored(tmp_path):
     assert list_llvm([tmp_path]) == ()
 
 
-def test_the_newest_library_is_chosen_and_links_to_one_file_count_once(tmp_path, no_user_choice):
+def test_the_newest_library_is_chosen_and_links_to_it_are_not_listed_twice(
+    tmp_path, no_user_choice
+):
     old = make_library(tmp_path / "a", "libLLVM-15.so.1")
     good = make_library(tmp_path / "a", "libLLVM.so.19.1")
     newest = make_library(tmp_path / "b", "libLLVM.so.22.1")
@@ -140,7 +142,7 @@ def test_a_library_without_a_release_in_its_name_is_examined_in_a_child(tmp_path
         ("cuda", GPU, False, "cuda"),
     ],
 )
-def test_the_device_auto_is_the_best_existing_one(monkeypatch, name, cuda, llvm, expected):
+def test_the_device_auto_means_the_best_available_device(monkeypatch, name, cuda, llvm, expected):
     monkeypatch.setattr(device, "examine_cuda", lambda: cuda)
     monkeypatch.setattr(device, "find_llvm", lambda: Path("libLLVM.so.19.1") if llvm else None)
     good = trial.Trial(device="cuda", seconds=1.0, denoiser="cuda")
@@ -150,7 +152,9 @@ def test_the_device_auto_is_the_best_existing_one(monkeypatch, name, cuda, llvm,
 
 @pytest.mark.parametrize("name", ["auto", "cpu", "llvm"])
 @pytest.mark.parametrize(("user", "sudo"), [(0, ""), (1000, "sudo ")])
-def test_without_a_library_the_error_names_one_command(monkeypatch, tmp_path, name, user, sudo):
+def test_the_error_without_an_llvm_library_names_one_command(
+    monkeypatch, tmp_path, name, user, sudo
+):
     old = (
         device.LlvmLibrary(path=Path("a"), major=15),
         device.LlvmLibrary(path=Path("b"), major=14),
@@ -171,13 +175,13 @@ def test_without_a_library_the_error_names_one_command(monkeypatch, tmp_path, na
     ("cuda", "why"),
     [(NO_GPU, "no NVIDIA driver"), (CudaState(devices=("X",)), "libnvoptix.so.1 cannot be loaded")],
 )
-def test_the_error_without_cuda_has_the_reason(monkeypatch, cuda, why):
+def test_the_error_for_a_missing_cuda_states_the_reason(monkeypatch, cuda, why):
     monkeypatch.setattr(device, "examine_cuda", lambda: cuda)
     with pytest.raises(DeviceError, match=why):
         choose_device("cuda")
 
 
-def test_the_error_for_an_unknown_device_lists_the_devices():
+def test_the_error_for_an_unknown_device_lists_the_known_devices():
     with pytest.raises(ValueError, match="auto, cpu, llvm, cuda"):
         choose_device("gpu")
     with pytest.raises(ValueError, match="llvm or cuda"):
@@ -212,7 +216,7 @@ print(json.dumps({
 
 @pytest.mark.slow
 @NEEDS_LLVM
-def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
+def test_minimum_and_maximum_compile_and_run_with_the_chosen_library():
     """With LLVM 15 these two abort the process (AVX-512); sums by hand for n = 1000 around 500."""
     environment = {k: v for k, v in os.environ.items() if k != "DRJIT_LIBLLVM_PATH"}
     report = json.loads(
@@ -229,7 +233,7 @@ def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
 
 @pytest.mark.slow
 @NEEDS_LLVM
-def test_opening_after_drjit_was_loaded_without_llvm_gives_an_error():
+def test_opening_a_renderer_after_drjit_loaded_without_llvm_is_an_error():
     program = (
         "import os; os.environ['DRJIT_LIBLLVM_PATH'] = '/gone.so'\n"
         "import drjit\nfrom graycast.rendering.device import open_device\n"
@@ -239,7 +243,7 @@ def test_opening_after_drjit_was_loaded_without_llvm_gives_an_error():
     assert output.startswith("DeviceError Dr.Jit has no LLVM: /gone.so cannot be loaded")
 
 
-def test_threads_below_one_are_refused():
+def test_a_number_of_threads_below_one_is_refused():
     with pytest.raises(ValueError, match="threads is 0"):
         open_device("llvm", threads=0)
 
@@ -264,7 +268,7 @@ def test_a_device_on_which_a_picture_ends_the_process_is_not_chosen(monkeypatch,
     assert not list(tmp_path.rglob("*.json"))  # so that it is tried again after a repair
 
 
-def test_a_successful_trial_is_not_repeated_until_the_machine_changes(monkeypatch, tmp_path):
+def test_a_successful_device_trial_is_not_repeated_until_the_machine_changes(monkeypatch, tmp_path):
     names = []
 
     def good(name):
@@ -279,7 +283,7 @@ def test_a_successful_trial_is_not_repeated_until_the_machine_changes(monkeypatc
     assert len(names) == 2
 
 
-def test_a_good_device_is_used_even_if_no_file_can_be_written(monkeypatch, tmp_path):
+def test_a_working_device_is_used_even_if_its_trial_cannot_be_recorded(monkeypatch, tmp_path):
     (tmp_path / "home").write_text("a file in the place of a folder")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     good = trial.Trial(device="cuda", seconds=1.0, denoiser="cuda")

@@ -35,7 +35,7 @@ def fresnel(cosine, index=INDEX):
 @pytest.mark.slow
 @pytest.mark.parametrize("roughness", [slow(0.05), 0.3, slow(0.5), 0.8])
 @pytest.mark.parametrize("film", [0.02, slow(0.3)])
-def test_white_metal_under_a_film_reflects_all_light(cpu_device, roughness, film):
+def test_white_metal_under_a_film_absorbs_no_light(cpu_device, roughness, film):
     bsdf = filmed(roughness, film)
     for angle_deg in (0, 45, 70, 85):
         weight = samples_of(bsdf, leaning(angle_deg), 400_000)[2]
@@ -43,7 +43,7 @@ def test_white_metal_under_a_film_reflects_all_light(cpu_device, roughness, film
 
 
 @pytest.mark.parametrize("angle_deg", [0, 45, 70, 80])
-def test_two_smooth_planes_reflect_the_sum_of_all_paths(cpu_device, angle_deg):
+def test_a_smooth_film_on_smooth_metal_reflects_the_sum_of_all_paths(cpu_device, angle_deg):
     """`E + T^2 R / (1 - R E)` to 1 %, with Schlick's R at the angle inside: `S_2` is a mean over
     all angles.
     """
@@ -85,7 +85,7 @@ def walked(wi, alpha, n, index=INDEX):
 @pytest.mark.parametrize(
     ("roughness", "angle_deg"), [slow(0.3, 0), slow(0.3, 50), (0.5, 30), slow(0.7, 60)]
 )
-def test_the_lobe_agrees_with_a_random_walk_in_the_film(cpu_device, roughness, angle_deg):
+def test_the_lobe_of_filmed_metal_agrees_with_a_random_walk(cpu_device, roughness, angle_deg):
     """In 12 x 12 cells of the hemisphere, without those where the film itself reflects: 1 % plus
     four times the noise of the walk."""
     wi = leaning(angle_deg)
@@ -116,12 +116,12 @@ def test_the_lobe_agrees_with_a_random_walk_in_the_film(cpu_device, roughness, a
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "film", "angle_deg"), [(0.5, 0.4, 30), slow(0.7, 0.5, 70)])
-def test_samples_follow_the_density(cpu_device, roughness, film, angle_deg):
+def test_samples_of_filmed_metal_follow_the_density(cpu_device, roughness, film, angle_deg):
     assert_samples_fall_where_densities_say(filmed(roughness, film), leaning(angle_deg), fine=800)
 
 
 @pytest.mark.parametrize("angle_deg", [0, 60])
-def test_weights_are_value_over_density(cpu_device, angle_deg):
+def test_sample_weights_are_the_value_divided_by_the_density(cpu_device, angle_deg):
     bsdf, wi = filmed(0.3, 0.3), leaning(angle_deg)
     wo, density, weight = samples_of(bsdf, wi, 20_000)
     above = weight[0] > 0

@@ -67,7 +67,7 @@ NARROW = make_rig(centred(24, 18, 60), centred(96, 72, 140), baseline_m=(0.1, 0.
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.5, 1.0, 1.15])
-def test_a_thin_pane_dims_a_wall_behind_it_on_the_way_in_and_out(mitsuba_renderer, lean_rad):
+def test_a_thin_pane_dims_light_to_and_from_the_wall_behind_it(mitsuba_renderer, lean_rad):
     """Each way has the closed form of all reflections between two surfaces, times the colour."""
     color = 0.9, 0.6, 0.3
     normal = np.array([np.sin(lean_rad), 0.0, np.cos(lean_rad)])
@@ -120,7 +120,7 @@ def orders(cosine, thickness_m, color):
 
 
 @pytest.mark.slow
-def test_a_slab_in_front_of_the_camera_displaces_and_dims_the_scene(mitsuba_renderer):
+def test_a_glass_slab_in_front_of_the_camera_displaces_and_dims_the_scene(mitsuba_renderer):
     """Snell's parallel shift, Fresnel's losses and Beer's law, in each pixel's column and level."""
     thickness_m, color = 0.06, 0.7
     rig = make_rig(centred(24, 18, 60), centred(240, 120, 140), baseline_m=(0.35, 0.0, 0.0))
@@ -150,7 +150,7 @@ def test_a_slab_in_front_of_the_camera_displaces_and_dims_the_scene(mitsuba_rend
 
 
 @pytest.mark.slow
-def test_a_slab_in_the_projector_s_beam_displaces_and_dims_its_light(mitsuba_renderer):
+def test_a_glass_slab_in_the_projector_s_beam_displaces_and_dims_its_light(mitsuba_renderer):
     """A parallel wall has `I T sin(a) da / (r dr)`: rays of the angle a from the axis arrive at the
     distance r. The camera sees the wall beside the slab.
     """
@@ -187,9 +187,7 @@ def test_a_slab_in_the_projector_s_beam_displaces_and_dims_its_light(mitsuba_ren
 
 
 @pytest.mark.parametrize("color", [1.0, 0.5])
-def test_a_ball_in_a_white_furnace_loses_only_the_light_that_its_colour_absorbs(
-    mitsuba_renderer, color
-):
+def test_a_glass_ball_loses_only_the_light_that_its_colour_absorbs(mitsuba_renderer, color):
     """All chords of a ray are equal: `R + (1 - R)^2 a / (1 - R a)`, which is 1 if a is."""
     ball = Sphere(center_m=(0.0, 0.0, 0.5), radius_m=0.1, material=glass("solid", (color,) * 3))
     scene = in_camera(NARROW, ball, environment=Environment(radiance=(1 / 3,) * 3))
@@ -212,7 +210,7 @@ def test_a_ball_in_a_white_furnace_loses_only_the_light_that_its_colour_absorbs(
     assert abs(light[whole].sum() / expected[whole].sum() - 1) < 0.02
 
 
-def test_the_sky_lights_a_patch_in_the_middle_of_a_ball(mitsuba_renderer):
+def test_the_sky_lights_a_patch_inside_a_glass_ball(mitsuba_renderer):
     """All light passes the ball's surface along its normal, where R is reflected: `R + (1 - R)^2
     albedo` is seen. Inside, radiance is larger by the square of the index.
     """
@@ -250,7 +248,7 @@ def traced_ball(points, direction, center, radius, color):
 
 
 @pytest.mark.slow
-def test_a_ball_lens_focuses_the_projector_onto_the_wall_behind(mitsuba_renderer):
+def test_a_ball_lens_focuses_the_projector_s_light_onto_a_wall(mitsuba_renderer):
     """Oracle: rays by vectors in NumPy. All light enters the ball, and squares of the wall receive
     the light of these rays.
     """
@@ -285,7 +283,7 @@ def test_a_ball_lens_focuses_the_projector_onto_the_wall_behind(mitsuba_renderer
 
 
 @pytest.mark.slow
-def test_no_light_by_metal_and_glass_is_counted_twice(mitsuba_renderer, monkeypatch):
+def test_light_that_passes_metal_and_glass_is_counted_only_once(mitsuba_renderer, monkeypatch):
     """Camera paths alone give the light of both kinds of paths, if none starts at glass. Metal
     lights the wall by a glass ball and a pane; its own reflections are seen through them.
     """

@@ -13,7 +13,7 @@ from graycast.world.scene import EMPTY_LAYOUT
 @pytest.mark.parametrize(
     ("metallic", "reflectance"), [(1.0, (1.0, 1.0, 1.0)), (0.0, (0.04, 0.04, 0.04))]
 )
-def test_a_highlight_seen_along_the_normal_has_the_height_of_ggx(
+def test_a_highlight_seen_along_the_normal_has_the_radiance_of_ggx(
     mitsuba_renderer, roughness, metallic, reflectance
 ):
     """f = F D / 4 with D = 1 / (pi alpha^2) and alpha = roughness^2 (Walter et al. 2007), so the

@@ -20,7 +20,7 @@ WHITE = Environment(radiance=(1.0, 1.0, 1.0))
         {"metallic": 0.5, "roughness": 0.3},
     ],
 )
-def test_a_white_body_reflects_all_light_and_no_more(mitsuba_renderer, words):
+def test_a_white_body_reflects_exactly_all_light(mitsuba_renderer, words):
     """It is convex and in a furnace, so that light is reflected once; to 0.2 %, the limit of the
     tables of metal and coat.
     """
@@ -39,7 +39,7 @@ def test_a_white_body_reflects_all_light_and_no_more(mitsuba_renderer, words):
 
 
 @pytest.mark.parametrize("specular", [0.5, 1.0])
-def test_a_black_coat_reflects_its_normal_reflectance_and_no_more(mitsuba_renderer, specular):
+def test_a_coat_over_black_reflects_exactly_its_normal_reflectance(mitsuba_renderer, specular):
     """0.08 * specular at normal incidence: 0.04 for the index 1.5 of most plastics (Fresnel)."""
     rig = make_rig(centred(16, 16, 200), centred(8, 8, 8))
     material = Material(base_color=(0.0, 0.0, 0.0), roughness=0.1, specular=specular)

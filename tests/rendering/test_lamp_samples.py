@@ -10,7 +10,7 @@ from graycast.world.scene import EMPTY_LAYOUT, Environment
 
 @pytest.mark.parametrize("depth", [1, 3])
 @pytest.mark.parametrize("samples", [1, 2, 3, 5])
-def test_an_open_wall_reflects_its_share_of_a_uniform_sky(mitsuba_renderer, samples, depth):
+def test_a_wall_under_a_uniform_sky_reflects_its_albedo_share(mitsuba_renderer, samples, depth):
     """Oracle: `L = albedo L_sky`; a wrong weight of odd counts is off by a sixth or more."""
     rig = make_rig(centred(64, 48, 80), centred(16, 12, 20))
     scene = in_camera(

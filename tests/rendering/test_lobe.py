@@ -15,7 +15,7 @@ def reflected_share(cpu_device):
     return reflected_share
 
 
-def test_a_diffuser_reflects_its_share_over_pi_times_the_cosine_of_the_light(reflected_share):
+def test_a_diffuser_reflects_by_lambert_s_law(reflected_share):
     """Oracle: Lambert's law. The cosine to the camera would give other numbers."""
     matt = Material(base_color=(0.6,) * 3, specular=0.0)
     share = reflected_share(matt, STEEP[::-1], STEEP)
@@ -23,9 +23,7 @@ def test_a_diffuser_reflects_its_share_over_pi_times_the_cosine_of_the_light(ref
 
 
 @pytest.mark.parametrize("roughness", [0.2, 0.3])
-def test_the_peak_of_a_smooth_metal_is_its_color_over_four_pi_alpha_squared(
-    reflected_share, roughness
-):
+def test_the_peak_of_a_smooth_metal_has_the_height_from_the_ggx_formula(reflected_share, roughness):
     """Oracle: GGX at the normal, D = 1 / (pi alpha^2), f = F D / 4; facets lose less than 1 %."""
     metal = Material(base_color=(0.7,) * 3, metallic=1.0, roughness=roughness)
     up = np.array([[0.0, 0.0, 1.0]])

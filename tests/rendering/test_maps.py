@@ -22,7 +22,7 @@ assert drjit.thread_count() == 1
 
 
 @pytest.mark.slow
-def test_a_map_is_read_if_the_renderer_has_one_thread(tmp_path):
+def test_a_renderer_with_one_thread_reads_a_map_without_a_deadlock(tmp_path):
     """Two workers on two cores have one thread each, and waited for ever."""
     command = [sys.executable, "-c", READ_ON_ONE_THREAD, str(tmp_path / "map.exr")]
     subprocess.run(command, check=True, timeout=120)

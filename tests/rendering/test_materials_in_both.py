@@ -89,7 +89,7 @@ def with_words(**words):
     return Material(base_color=BANDS, **words)
 
 
-def test_descriptions_apply_and_lambert_is_the_same_in_both_renderers(cpu_device, in_cycles):
+def test_each_renderer_applies_material_keys_and_lambert_s_law(cpu_device, in_cycles):
     """Furnace and lamp; a metal and a plastic show that their descriptions are applied, too."""
     lambert = with_words(specular=0.0)
     lit = [with_words(metallic=1.0, roughness=0.4), with_words(roughness=0.5)]
@@ -102,7 +102,7 @@ def test_descriptions_apply_and_lambert_is_the_same_in_both_renderers(cpu_device
     assert np.abs(plastic - 1).max() < 0.03
 
 
-def test_metal_looks_the_same_in_mitsuba_and_cycles(cpu_device, in_cycles):
+def test_mitsuba_and_cycles_reflect_equally_from_metal(cpu_device, in_cycles):
     """To 0.3 % in any direction: both are one published model with their own tables."""
     lamps = [(0, 0), (40, 0), (40, 180), (60, 90), (80, 180)]
     cases = [
@@ -146,7 +146,7 @@ def test_plastic_reflects_the_same_total_in_both_renderers(cpu_device, in_cycles
     assert (np.abs(ratio - 1) < 0.015 + 4 * error).all()
 
 
-def test_plastic_under_a_lamp_differs_by_the_light_absorbed_in_the_coat(cpu_device, in_cycles):
+def test_plastic_under_a_lamp_differs_between_renderers_by_at_most_6_percent(cpu_device, in_cycles):
     """Cycles has no factor `(1 - E(light)) / (1 - mean E)`: its base is darker under steep light
     and brighter under grazing light. Within 60 degrees that is 6 %, and 5 % from roughness 0.3 on.
     """
@@ -163,7 +163,7 @@ def test_plastic_under_a_lamp_differs_by_the_light_absorbed_in_the_coat(cpu_devi
     assert (ratio[~steep] < 1.22).all()
 
 
-def test_a_half_metal_is_half_of_each_material_in_both_renderers(cpu_device, in_cycles):
+def test_half_metallic_material_is_an_equal_mixture_in_both_renderers(cpu_device, in_cycles):
     cases = [
         (with_words(metallic=0.4, roughness=r, specular=s), view, lamp)
         for r, s, view, lamp in product((0.3, 0.8), (0.0, 0.5), (0, 60), [None, (60, 180)])
@@ -172,7 +172,7 @@ def test_a_half_metal_is_half_of_each_material_in_both_renderers(cpu_device, in_
     assert (np.abs(ratio - 1) < 0.03 + 4 * error).all()
 
 
-def test_metal_that_scatters_light_is_the_same_in_both_renderers(cpu_device, in_cycles):
+def test_scattering_metal_reflects_equally_in_both_renderers(cpu_device, in_cycles):
     """Both add Lambert's law to one model of metal, so the limit is that of plain metal."""
     cases = [
         (with_words(metallic=1.0, roughness=r, diffuse=d), view, lamp)
@@ -184,7 +184,7 @@ def test_metal_that_scatters_light_is_the_same_in_both_renderers(cpu_device, in_
     assert (np.abs(ratio - 1) < 0.003 + 4 * error).all()
 
 
-def test_half_metal_that_scatters_light_is_the_same_in_both_renderers(cpu_device, in_cycles):
+def test_half_metallic_scattering_metal_reflects_equally_in_both_renderers(cpu_device, in_cycles):
     """The limit is that of a half metallic surface."""
     cases = [
         (with_words(metallic=0.4, roughness=0.4, diffuse=0.6), view, lamp)
@@ -194,7 +194,7 @@ def test_half_metal_that_scatters_light_is_the_same_in_both_renderers(cpu_device
     assert (np.abs(ratio - 1) < 0.03 + 4 * error).all()
 
 
-def test_backs_reflect_nothing_in_both_renderers(cpu_device, in_cycles):
+def test_the_back_of_a_surface_reflects_nothing_in_both_renderers(cpu_device, in_cycles):
     metal = with_words(metallic=1.0)
     cases = [(metal, 150, None), (metal, 30, (150, 0)), (metal, 150, (120, 0))]
     assert (in_cycles(cases)[:, 0] == 0).all()

@@ -60,7 +60,7 @@ def correlation(picture):
 
 
 @pytest.mark.parametrize(("length_px", "spread"), [(4.0, 0.2), slow(8.0, 0.1)])
-def test_a_plate_has_the_stated_spread_and_length_and_the_mean_of_a_plain_one(
+def test_mottle_has_the_stated_spread_and_length_and_keeps_the_mean(
     mitsuba_renderer, length_px, spread
 ):
     """Oracle: the law `1 + spread u` with the correlation `exp(-(r / length)^2)`.
@@ -86,7 +86,7 @@ def test_a_plate_has_the_stated_spread_and_length_and_the_mean_of_a_plain_one(
             assert abs(value - law) < 3 / np.sqrt(places) + 0.01, distance_px
 
 
-def test_the_pattern_belongs_to_the_surface_and_not_to_the_seed(mitsuba_renderer):
+def test_the_mottle_pattern_does_not_depend_on_the_seed(mitsuba_renderer):
     one, again, other = (
         lit(mitsuba_renderer, plate(mottled(6.0)), seed=seed)[..., 0] for seed in (1, 1, 2)
     )
@@ -94,7 +94,7 @@ def test_the_pattern_belongs_to_the_surface_and_not_to_the_seed(mitsuba_renderer
     assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.98
 
 
-def test_the_pattern_moves_with_its_part_and_every_copy_has_another(mitsuba_renderer):
+def test_the_mottle_pattern_moves_with_its_part_and_differs_between_copies(mitsuba_renderer):
     """Half a turn about the camera's axis turns the picture; two copies have no correlation."""
     part = box_part(np.array([0.025, 0.025, 0.01]), mottled(6.0))
     away = np.array([0.0, 0.0, 1.0])
@@ -116,7 +116,7 @@ def test_the_pattern_moves_with_its_part_and_every_copy_has_another(mitsuba_rend
     assert abs(np.corrcoef(*copies)[0, 1]) < 0.4  # 40 independent places
 
 
-def test_no_place_is_further_from_the_mean_than_the_stated_peak(cpu_device):
+def test_mottle_deviates_from_the_mean_by_at_most_the_stated_peak(cpu_device):
     from graycast.rendering.bsdf.mottle import mottle_field
 
     field = mottle_field()
@@ -126,7 +126,7 @@ def test_no_place_is_further_from_the_mean_than_the_stated_peak(cpu_device):
     assert max(white.base_color) * (1 + white.mottle * np.abs(field).max()) < 1
 
 
-def test_a_surface_without_mottle_has_the_same_description_in_mitsuba(cpu_device):
+def test_a_surface_without_mottle_has_no_mottle_in_its_mitsuba_description(cpu_device):
     """So the pictures of all other materials stay the same."""
     from graycast.rendering.mitsuba.scene import _bsdf, _flat_surface
     from graycast.world.scene import Quad
@@ -148,12 +148,12 @@ def test_a_surface_without_mottle_has_the_same_description_in_mitsuba(cpu_device
         ({"mottle_length_m": 0.0}, "mottle_length_m"),
     ],
 )
-def test_a_mottle_that_cannot_be_is_refused(words, message):
+def test_impossible_mottle_is_refused(words, message):
     with pytest.raises(ValueError, match=message):
         Material(**({"mottle": 0.2} | words))
 
 
-def test_keys_of_mottle_are_applied_and_a_length_alone_is_refused(tmp_path):
+def test_mottle_keys_are_applied_and_a_length_without_mottle_is_refused(tmp_path):
     section = MaterialSection(mottle=0.1, mottle_length_m=0.0005)
     material = resolve_material(section, tmp_path)
     assert (material.mottle, material.mottle_length_m) == (0.1, 0.0005)
@@ -162,14 +162,14 @@ def test_keys_of_mottle_are_applied_and_a_length_alone_is_refused(tmp_path):
         resolve_material(MaterialSection(mottle_length_m=0.0005), tmp_path)
 
 
-def test_only_meshes_in_mitsuba_can_be_mottled():
+def test_only_meshes_rendered_by_mitsuba_can_be_mottled():
     with pytest.raises(ValueError, match="only meshes can have it"):
         Sphere(center_m=(0.0, 0.0, 0.0), radius_m=1.0, material=mottled(6.0))
     with pytest.raises(ValueError, match="Cycles cannot render mottled surfaces: use mitsuba"):
         refuse_layers(plate(mottled(6.0)), "Cycles")
 
 
-def test_a_brighter_look_stays_below_the_limit_of_its_mottle():
+def test_a_brightened_mottled_part_stays_below_the_limit_of_its_mottle():
     material = replace(mottled(6.0), projector_reflectance=0.5)
     brighter = retouched(material, brightness=3.0, roughness=0.0)
     limit = 1 / (1 + MOTTLE_PEAK * 0.2)

@@ -49,7 +49,7 @@ def quick_pair(mitsuba_renderer):
     return one_pass_and_alone(mitsuba_renderer, ["white", "column_bit01"], seeds=8, samples=25)
 
 
-def test_one_pass_equals_each_pattern_alone_by_an_independent_integrator(quick_pair):
+def test_rendering_all_patterns_in_one_pass_agrees_with_an_independent_integrator(quick_pair):
     """Mitsuba's path tracer with its own camera, projector and random numbers is independent of our
     loop. Patterns are compared one by one, since those of one pass share their errors.
     """
@@ -77,7 +77,7 @@ def test_the_comparison_detects_a_2_percent_error_and_a_missing_bounce(
 
 
 @pytest.mark.slow
-def test_one_pass_equals_each_pattern_alone_to_a_third_of_a_percent(mitsuba_renderer):
+def test_one_pass_agrees_with_separate_patterns_to_a_third_of_a_percent(mitsuba_renderer):
     together, alone = one_pass_and_alone(
         mitsuba_renderer,
         ["white", "column_bit04", "column_bit01", "row_bit01"],
@@ -91,7 +91,7 @@ def test_one_pass_equals_each_pattern_alone_to_a_third_of_a_percent(mitsuba_rend
 
 @pytest.mark.slow
 @pytest.mark.parametrize("levels", [slow(2), 256])
-def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsuba_renderer, levels):
+def test_a_pattern_in_a_stack_equals_its_separate_rendering_in_every_bit(mitsuba_renderer, levels):
     """The stack's patterns share the same paths; 34 of them need more than one word of bits."""
     scene, layout = corner_scene()
     size = (34, scene.rig.projector.height_px, scene.rig.projector.width_px)
@@ -106,7 +106,9 @@ def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsub
 
 
 @pytest.mark.parametrize("footprint", [False, True])
-def test_a_pattern_and_its_inverse_add_up_to_white_and_black_is_zero(mitsuba_renderer, footprint):
+def test_a_pattern_and_its_inverse_add_up_to_white_and_black_gives_no_light(
+    mitsuba_renderer, footprint
+):
     """Linearity, to the rounding of float32 sums; white is also the sum of its three bands."""
     scene, layout = corner_scene()
     code = gray(48, 36, inverses=True)
@@ -120,7 +122,7 @@ def test_a_pattern_and_its_inverse_add_up_to_white_and_black_is_zero(mitsuba_ren
     assert np.abs(light.white_rgb.sum(axis=-1) - white).max() < 1e-5 * white.max()
 
 
-def test_a_grey_level_gives_this_share_of_white_also_after_reflections(mitsuba_renderer):
+def test_a_grey_level_gives_its_share_of_white_even_after_reflections(mitsuba_renderer):
     scene, layout = corner_scene()
     pattern = plain_pattern(scene.rig, 255, 1, 77, 128, 254)
     quality = Quality(samples=4, depth=DEPTH)
@@ -130,7 +132,7 @@ def test_a_grey_level_gives_this_share_of_white_also_after_reflections(mitsuba_r
         assert np.abs(image - white * (level / 255)).max() < 1e-5 * white.max()
 
 
-def test_another_seed_gives_other_noise_and_zero_is_a_seed_like_any_other(mitsuba_renderer):
+def test_each_seed_gives_independent_noise_and_zero_is_an_ordinary_seed(mitsuba_renderer):
     scene, layout = corner_scene()
     pattern = plain_pattern(scene.rig, 255)
     quality = Quality(samples=4, depth=DEPTH)
@@ -146,7 +148,7 @@ def test_another_seed_gives_other_noise_and_zero_is_a_seed_like_any_other(mitsub
         assert abs(images[a].mean() / images[b].mean() - 1) < 0.053
 
 
-def test_the_footprint_does_not_change_direct_light(mitsuba_renderer):
+def test_the_path_footprint_does_not_change_direct_light(mitsuba_renderer):
     rig = askew_rig()
     flat = in_camera(rig, leaning_wall([0.2, 0.1, 1.0], 0.8, lambert(0.7)))
     stripes = np.zeros((1, 48, 64), dtype=np.uint8)
@@ -165,7 +167,7 @@ def test_the_footprint_does_not_change_direct_light(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_the_footprint_conserves_the_light_of_a_reflection(mitsuba_renderer):
+def test_the_path_footprint_conserves_reflected_light(mitsuba_renderer):
     """Stripes light one wall, which alone lights the other: the footprint blurs the stripes'
     reflection, which must not change its mean.
     """

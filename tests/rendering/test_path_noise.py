@@ -56,7 +56,7 @@ def test_sigma_includes_the_error_of_few_paths(mitsuba_renderer, codec, samples,
     assert 0.8 < rms(off_m / shot.depth.sigma_m) < 1.3
 
 
-def test_the_code_alone_does_not_include_the_error_of_few_paths(mitsuba_renderer):
+def test_sigma_of_the_code_excludes_the_error_of_few_paths(mitsuba_renderer):
     """This shows that the test above can fail: without the renderer's share, sigma is far too
     small; the share comes from paths, so it falls with their number.
     """
@@ -96,7 +96,7 @@ def test_sigma_includes_the_error_of_stray_light(mitsuba_renderer):
     assert 0.8 < np.nanquantile(off, 0.6827) < 1.2
 
 
-def test_edges_and_shadows_do_not_change_the_error_of_the_position():
+def test_edges_and_shadows_do_not_increase_the_path_noise_of_a_position():
     """Oracle: noise of a known size on a ramp; a step of 30 px, whose pixels see both sides, and a
     dark stripe, next to which light is one-sided, do not increase it. Without light it is 0.
     """
@@ -119,7 +119,7 @@ def test_edges_and_shadows_do_not_change_the_error_of_the_position():
     assert (noise.stray[1] == 0).all()
 
 
-def test_pictures_without_a_known_path_noise_add_none(mitsuba_renderer):
+def test_pictures_without_known_path_noise_add_nothing_to_sigma(mitsuba_renderer):
     """Real pictures have no path noise, and some renderers do not know theirs."""
     scanner = Scanner(rig=RIG, code=CodeSpec(codec="gray_phase", axes=("column",)))
     wall = leaning_wall((0.35, 0.2, 1.0), 0.8, lambert(0.6))

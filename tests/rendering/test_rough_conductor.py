@@ -56,7 +56,7 @@ def compensation(cosine, alpha, normal, mean):
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
 @pytest.mark.parametrize("angle_deg", [slow(0), 45, slow(70), 85, slow(89)])
-def test_white_metal_reflects_all_light(cpu_device, roughness, angle_deg):
+def test_white_rough_metal_absorbs_no_light(cpu_device, roughness, angle_deg):
     """The limit of 0.2 % is for 128 nodes of a table, each a mean of 4096 facets."""
     weight = samples_of(metal(roughness, (1.0, 1.0, 1.0)), leaning(angle_deg), 400_000)[2][0]
     error = weight.std() / np.sqrt(weight.size)
@@ -66,7 +66,7 @@ def test_white_metal_reflects_all_light(cpu_device, roughness, angle_deg):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
-def test_the_value_agrees_with_the_published_formulas(cpu_device, roughness):
+def test_the_value_of_rough_metal_agrees_with_the_published_formulas(cpu_device, roughness):
     """Oracle: other forms of D and G2, E summed over directions instead of facets, F_avg as an
     integral; the code under test uses none of them.
     """
@@ -87,7 +87,7 @@ def test_the_value_agrees_with_the_published_formulas(cpu_device, roughness):
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-def test_the_lobe_of_one_reflection_has_the_published_shape(cpu_device, roughness):
+def test_the_lobe_of_a_single_reflection_has_the_published_shape(cpu_device, roughness):
     """The compensation is one factor for all outgoing directions, so the shape is that of one
     reflection, computed with other forms of D and G2.
     """
@@ -118,7 +118,7 @@ def test_facets_seen_at_normal_incidence_have_the_slopes_of_ggx(cpu_device, roug
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
 @pytest.mark.parametrize("angle_deg", [slow(0), 50, slow(80)])
-def test_weights_are_value_over_density(cpu_device, roughness, angle_deg):
+def test_sample_weights_are_the_value_divided_by_the_density(cpu_device, roughness, angle_deg):
     bsdf, wi = metal(roughness), leaning(angle_deg)
     wo, density, weight = samples_of(bsdf, wi, 5000)
     above = weight[0] > 0
@@ -131,12 +131,14 @@ def test_weights_are_value_over_density(cpu_device, roughness, angle_deg):
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
 @pytest.mark.parametrize("angle_deg", [slow(0), 50, slow(80)])
-def test_densities_integrate_to_one_and_samples_follow_them(cpu_device, roughness, angle_deg):
+def test_sample_densities_integrate_to_one_and_samples_follow_them(
+    cpu_device, roughness, angle_deg
+):
     assert_samples_fall_where_densities_say(metal(roughness), leaning(angle_deg), fine=512)
 
 
 @pytest.mark.parametrize("angle_deg", [0, 60])
-def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
+def test_samples_reflect_the_same_light_and_mean_direction_as_values(cpu_device, angle_deg):
     """The reflected light and its mean direction, from samples and from a sum of values."""
     bsdf, wi, n = metal(0.7), leaning(angle_deg), 400_000
     wo, _, weight = samples_of(bsdf, wi, n)
@@ -147,7 +149,7 @@ def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
         assert (np.abs(moment.mean(axis=-1) - same.mean(axis=-1)) < 5 * error).all()
 
 
-def test_colours_are_more_saturated_on_rougher_metal(cpu_device):
+def test_rougher_metal_reflects_less_light_and_saturates_its_colour(cpu_device):
     """Two reflections square a colour: half of the light that hits another facet is lost."""
     shares = [
         samples_of(metal(roughness, (0.5, 0.5, 0.5)), leaning(0), 100_000)[2][0].mean()
@@ -157,7 +159,7 @@ def test_colours_are_more_saturated_on_rougher_metal(cpu_device):
     assert shares[0] > shares[1] + 0.01 > shares[2] + 0.1
 
 
-def test_a_texture_replaces_the_colour(cpu_device):
+def test_a_texture_replaces_the_colour_of_metal(cpu_device):
     """Two texels; smooth metal shows them at normal incidence (sRGB curve of IEC 61966-2-1)."""
     import drjit as dr
     import mitsuba as mi
@@ -185,7 +187,7 @@ def test_the_back_of_a_metal_reflects_nothing(cpu_device):
         assert (evaluated(bsdf, wi, wo[:, None])[0] == 0).all()
 
 
-def test_another_roughness_needs_no_new_kernel(cpu_device):
+def test_another_roughness_compiles_no_new_kernel(cpu_device):
     """Differences between metals are data: many materials, or another run, compile once."""
     import drjit as dr
 

@@ -69,7 +69,7 @@ def samples_of(bsdf, wi, n, u):
 @pytest.mark.slow
 @pytest.mark.parametrize("look", [METAL, PLASTIC, replace(METAL, metallic=0.5)])
 @pytest.mark.parametrize("grey", [slow(255), 130, slow(40)])
-def test_a_map_of_one_grey_equals_a_material_of_that_roughness(cpu_device, look, grey):
+def test_a_uniform_roughness_map_equals_a_material_of_that_roughness(cpu_device, look, grey):
     """Oracle: the material without a map, whose tables are made for its roughness."""
     varied = replace(look, roughness_map=np.full((2, 3), grey, dtype=np.uint8))
     plain = replace(look, roughness=look.roughness * grey / 255)
@@ -92,7 +92,7 @@ def test_a_map_of_one_grey_equals_a_material_of_that_roughness(cpu_device, look,
         slow("metal", 26), slow("metal", 97), slow("plastic", 97), slow("plastic", 235),
     ],
 )  # fmt: skip
-def test_a_white_surface_of_two_roughnesses_reflects_all_light(cpu_device, kind, grey):
+def test_a_white_surface_with_two_roughnesses_absorbs_no_light(cpu_device, kind, grey):
     """The limits are those of the BSDFs. The greys are between the rows of their tables."""
     bsdf = bsdf_of(replace(WHITE[kind], roughness_map=halves(255 - grey, grey)))
     for angle_deg in (0, 60, 84, 88):
@@ -106,7 +106,7 @@ def test_a_white_surface_of_two_roughnesses_reflects_all_light(cpu_device, kind,
 
 @pytest.mark.parametrize("look", [METAL, PLASTIC, BLACK])
 @pytest.mark.parametrize("u", [0.25, slow(0.75)])
-def test_the_weight_of_a_sample_is_value_over_density_at_its_point(cpu_device, look, u):
+def test_a_sample_s_weight_is_the_value_divided_by_the_density_at_its_point(cpu_device, look, u):
     """The density also predicts how many are near the mirror direction; its integral is 1,
     including directions below the surface.
     """
@@ -140,7 +140,7 @@ def test_highlights_have_the_radiance_of_the_local_roughness(cpu_device, look, n
 @pytest.mark.parametrize(
     ("engine", "noise"), [("mitsuba", 0.01), pytest.param("cycles", 0.05, marks=pytest.mark.slow)]
 )
-def test_each_quarter_of_a_wall_equals_a_wall_of_its_roughness(request, engine, noise):
+def test_each_quarter_of_a_mapped_wall_equals_a_wall_of_that_roughness(request, engine, noise):
     """Oracle: pictures of walls of one roughness. Row 0 of the map is at the top of the picture."""
     renderer = request.getfixturevalue(f"{engine}_renderer")
     rig = make_rig(centred(16, 16, 20), centred(8, 8, 8))
@@ -167,7 +167,7 @@ def test_each_quarter_of_a_wall_equals_a_wall_of_its_roughness(request, engine, 
         assert np.abs(varied[quarter] / plain[quarter] - 1).max() < noise
 
 
-def test_one_scratch_makes_rough_metal_shiny(cpu_device):
+def test_a_roughness_map_with_one_smooth_pixel_makes_metal_count_as_shiny(cpu_device):
     from graycast.rendering.mitsuba.scene import _is_shiny
 
     scratch = np.full((9, 9), 255, dtype=np.uint8)
@@ -177,13 +177,13 @@ def test_one_scratch_makes_rough_metal_shiny(cpu_device):
     assert _is_shiny(replace(METAL, roughness_map=scratch))
 
 
-def test_no_point_of_a_map_is_a_perfect_mirror():
+def test_no_point_of_a_roughness_map_becomes_a_perfect_mirror():
     varied = replace(METAL, roughness_map=np.array([[0, 3, 4, 255]], dtype=np.uint8))
     assert varied.local_roughness[0] == pytest.approx([0.01, 0.01, 0.8 * 4 / 255, 0.8])
     assert varied.smoothest == 0.01 and METAL.smoothest == 0.8
 
 
-def test_a_map_is_read_as_linear_numbers(tmp_path):
+def test_a_roughness_map_is_read_without_gamma(tmp_path):
     level = np.arange(256, dtype=np.uint8).reshape(16, 16)
     Image.fromarray(level).save(tmp_path / "grey.png")
     Image.fromarray(np.stack([level] * 3, axis=-1)).save(tmp_path / "rgb.png")
@@ -202,7 +202,7 @@ def test_a_map_is_read_as_linear_numbers(tmp_path):
         ({"transparent": "solid"}, "roughness_map is transparent: remove one of the two"),
     ],
 )
-def test_an_invalid_map_is_refused_in_one_line(tmp_path, words, says):
+def test_an_invalid_roughness_map_is_refused_in_one_line(tmp_path, words, says):
     Image.fromarray(np.zeros((4, 4), dtype=np.uint8)).save(tmp_path / "grey.png")
     Image.fromarray(np.zeros((4, 4), dtype=np.uint16)).save(tmp_path / "deep.png")
     Image.fromarray(np.full((4, 4, 3), (200, 0, 0), dtype=np.uint8)).save(tmp_path / "red.png")
@@ -212,7 +212,7 @@ def test_an_invalid_map_is_refused_in_one_line(tmp_path, words, says):
     assert "\n" not in str(error.value)
 
 
-def test_a_built_in_part_with_a_map_needs_texture_coordinates(tmp_path):
+def test_a_roughness_map_on_a_built_in_part_needs_texture_coordinates(tmp_path):
     Image.fromarray(np.zeros((4, 4), dtype=np.uint8)).save(tmp_path / "grey.png")
     look = MaterialSection(roughness_map="grey.png")
     with pytest.raises(ConfigError, match="metal_workpiece_1 has no texture coordinates: remove"):

@@ -31,7 +31,7 @@ def bsdf_of(material):
 
 @pytest.mark.parametrize("roughness", [0.1, slow(0.4), 0.8])
 @pytest.mark.parametrize("diffuse", [0.3, slow(1.0)])
-def test_white_metal_that_scatters_light_reflects_all_of_it(cpu_device, roughness, diffuse):
+def test_white_scattering_metal_absorbs_no_light(cpu_device, roughness, diffuse):
     """The limit is that of plain metal."""
     white = Material(base_color=(1.0,) * 3, metallic=1.0, roughness=roughness, diffuse=diffuse)
     for angle_deg in (0, 60, 85):
@@ -40,7 +40,7 @@ def test_white_metal_that_scatters_light_reflects_all_of_it(cpu_device, roughnes
         assert abs(weight.mean() - 1) < 0.002 + 4 * error, angle_deg
 
 
-def test_the_scattered_share_follows_lambert_and_the_rest_is_the_plain_metal(cpu_device):
+def test_scattering_metal_mixes_a_lambert_share_with_plain_metal(cpu_device):
     """Oracle: `diffuse` times base_color / pi, and 1 - `diffuse` times the metal without the key,
     for metal alone and as a share of a half metallic surface.
     """
@@ -70,7 +70,7 @@ def test_samples_of_scattering_metal_follow_the_density(cpu_device, angle_deg):
 
 
 @pytest.mark.parametrize("material", [METAL, BRUSHED, replace(METAL, film=0.05)])
-def test_without_the_key_a_material_has_the_same_description_in_mitsuba(cpu_device, material):
+def test_materials_without_a_diffuse_share_get_no_mixture_in_mitsuba(cpu_device, material):
     """So pictures of all other materials stay the same: only a share above 0 makes a mix."""
     from graycast.rendering.mitsuba.scene import _bsdf
 
@@ -78,7 +78,7 @@ def test_without_the_key_a_material_has_the_same_description_in_mitsuba(cpu_devi
     assert "diffuse" not in material.words
 
 
-def test_metal_that_scatters_most_light_is_not_shiny(cpu_device):
+def test_metal_that_scatters_most_light_does_not_count_as_shiny(cpu_device):
     from graycast.rendering.mitsuba.scene import _is_shiny
 
     smooth = replace(METAL, roughness=0.5, specular=0.0)

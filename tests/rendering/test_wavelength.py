@@ -47,7 +47,7 @@ def materials_of(scene):
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("texture", [None, PICTURE])
-def test_a_reflectance_at_the_line_replaces_colour_and_texture(place, texture):
+def test_a_reflectance_at_the_projector_line_replaces_colour_and_texture(place, texture):
     known = Material(base_color=(0.9, 0.8, 0.7), texture=texture, projector_reflectance=0.3)
     scene = scene_of(**{place: known})
     before, after = (materials_of(one) for one in (scene, at_projector_wavelength(scene)))
@@ -56,13 +56,13 @@ def test_a_reflectance_at_the_line_replaces_colour_and_texture(place, texture):
         assert after[other] is before[other]
 
 
-def test_a_scene_without_such_a_surface_is_the_same_object():
+def test_a_scene_without_a_projector_reflectance_is_returned_unchanged():
     scene = scene_of()
     assert at_projector_wavelength(scene) is scene
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_in_one_band_surfaces_become_the_grey_of_that_band(place):
+def test_with_one_projector_band_surfaces_become_grey_at_that_band(place):
     pictured = Material(base_color=(0.9, 0.8, 0.7), texture=PICTURE)
     after = materials_of(at_one_wavelength(scene_of(**{place: pictured})))
     assert np.array_equal(after[place].texture, np.repeat(PICTURE[..., :1], 3, axis=-1))
@@ -70,7 +70,7 @@ def test_in_one_band_surfaces_become_the_grey_of_that_band(place):
         assert after[other].base_color == (0.6, 0.6, 0.6)
 
 
-def test_in_several_bands_a_colour_has_no_single_grey():
+def test_a_colour_is_refused_as_one_wavelength_if_the_projector_has_two_bands():
     scene = scene_of()
     scene = replace(scene, rig=replace(scene.rig, band_weights=(0.5, 0.5, 0.0)))
     with pytest.raises(ValueError, match="shines in 2 bands, and a material has the colour"):

@@ -12,7 +12,7 @@ DIRECT = Quality(samples=64, depth=1)
 
 
 @pytest.mark.slow
-def test_each_renderer_agrees_with_the_exact_one(path_tracer):
+def test_each_renderer_agrees_with_the_exact_renderer(path_tracer):
     """Two programs without common code, on a scene with distortion in both lenses, shadows and
     borders. Inside surfaces both give the value at the pixel's centre, one by a regular grid and
     Mitsuba by mirrored pairs: a hundredth of the difference of neighbours is enough. At borders

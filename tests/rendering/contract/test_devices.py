@@ -73,9 +73,7 @@ def plain_and_dimmed(renderer, device, **words):
 
 
 @pytest.mark.parametrize("device", ["camera", "projector"])
-def test_light_falls_with_the_fourth_power_of_the_cosine_in_a_camera_and_the_first_in_a_projector(
-    renderer, device
-):
+def test_light_falls_with_cos_to_the_fourth_in_a_camera_and_cos_in_a_projector(renderer, device):
     """Oracle: the ratio of pictures with and without falloff; angles by the dot product."""
     plain, dimmed, _, point, lit = plain_and_dimmed(renderer, device, natural_vignetting=True)
     cosine = np.cos(np.arccos(point[..., 2] / np.linalg.norm(point, axis=-1)))
@@ -92,7 +90,7 @@ def test_light_falls_with_the_fourth_power_of_the_cosine_in_a_camera_and_the_fir
 
 @pytest.mark.slow
 @pytest.mark.parametrize("device", ["camera", "projector"])
-def test_light_falls_with_the_squared_distance_from_the_picture_s_centre(renderer, device):
+def test_light_falls_with_the_square_of_the_distance_from_the_picture_s_centre(renderer, device):
     """Oracle: the ratio of pictures with and without falloff, which is a half in the corners."""
     plain, dimmed, own, point, lit = plain_and_dimmed(renderer, device, falloff=0.5)
     x, y = np.moveaxis(project(own, point), -1, 0)
@@ -118,7 +116,7 @@ def test_grey_levels_have_the_radiance_of_the_response_curve(renderer, levels):
             assert_same_light(renderer, image, by_hand[level] * light.white, rounding=rounding)
 
 
-def test_white_is_the_picture_of_a_white_pattern_and_the_sum_of_its_bands(renderer):
+def test_the_white_frame_equals_a_white_pattern_and_the_sum_of_its_bands(renderer):
     rig = askew_rig(band_weights=(0.5, 0.3, 0.2))
     material = lambert(0.8, 0.5, 0.2)
     light = light_of(renderer, rig, plain_pattern(rig, 255), material=material)
@@ -130,7 +128,7 @@ def test_white_is_the_picture_of_a_white_pattern_and_the_sum_of_its_bands(render
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fill_factor", [0.25, 0.7])
-def test_gaps_between_projector_pixels_are_dark_in_proportion_to_their_area(renderer, fill_factor):
+def test_gaps_between_projector_pixels_reduce_light_by_their_area(renderer, fill_factor):
     """A camera with 12 pixels per projector pixel sees each square and the gap around it."""
     rig = make_rig(centred(120, 60, 240), centred(40, 40, 20), baseline_m=(1e-4, 0.0, 0.0))
     pattern = plain_pattern(rig, 255)
@@ -170,7 +168,7 @@ def test_a_camera_pixel_receives_light_only_in_its_sensitive_square(renderer, si
 
 
 @pytest.mark.slow
-def test_the_measuring_camera_sees_the_reflectance_at_the_projector_s_wavelength(renderer):
+def test_the_measuring_camera_records_reflectance_at_the_projector_s_wavelength(renderer):
     """The colour picture shows the colour; both are relative to a grey wall's."""
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
     pattern = plain_pattern(rig, 255, 100)

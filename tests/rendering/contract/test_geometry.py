@@ -30,7 +30,7 @@ def render(renderer, scene, pattern=None, *, samples=4):
     return renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=0)
 
 
-def test_depth_of_a_plane_is_z_of_its_intersection_with_the_centre_ray(renderer):
+def test_depth_of_a_plane_is_z_where_the_ray_of_the_pixel_centre_meets_it(renderer):
     """Oracle: z = d / (n . ray). Half a pixel would change z by over 1e-3 of its value here."""
     rig = askew_rig()
     normal, offset_m = np.array([0.6, -0.3, 1.0]), 0.8
@@ -101,7 +101,7 @@ def test_an_edge_divides_the_pixels_at_its_true_position(renderer, axis, side):
     assert light[k + side] == 0
 
 
-def test_one_sample_may_be_anywhere_in_its_pixel(path_tracer):
+def test_a_single_sample_is_uniform_over_its_pixel(path_tracer):
     """If a surface covers 3/4 of each pixel of a column, 3/4 of the pixels' samples hit it; samples
     at the pixels' centres would all hit it.
     """
@@ -128,7 +128,7 @@ def test_one_sample_may_be_anywhere_in_its_pixel(path_tracer):
     assert abs(hit.mean() - 0.75) < 4 * np.sqrt(0.75 * 0.25 / len(hit))
 
 
-def test_right_and_up_in_the_camera_frame_are_right_and_up_in_the_picture(renderer):
+def test_the_axes_of_the_camera_frame_have_their_directions_in_the_picture(renderer):
     sphere = Sphere(center_m=(0.1, -0.08, 0.8), radius_m=0.05, material=GRAY)
     visible = np.isfinite(render(renderer, in_camera(askew_rig(), sphere)).truth.depth_m)
     rows, columns = np.nonzero(visible)
@@ -152,7 +152,7 @@ def test_the_projector_draws_columns_to_the_right_and_rows_down(renderer):
         assert (other > one + 0.2).all()
 
 
-def test_camera_rays_have_the_distortion_of_opencv(renderer):
+def test_camera_rays_are_distorted_as_opencv_distorts_them(renderer):
     """The ray of every pixel is measured: on the plane a x + z = d, a depth gives x / z = (d / z -
     1) / a; a second plane gives y. OpenCV must project the ray to its pixel.
     """
@@ -189,7 +189,7 @@ def projector_pixel(code, light, axis):
 @pytest.mark.parametrize(
     "distortion", [(0.0, 0.0, 0.0, 0.0, 0.0), (-0.15, 0.08, 0.01, -0.008, 0.02)]
 )
-def test_every_pattern_lights_the_projector_pixel_that_sees_the_point(renderer, distortion):
+def test_patterns_light_each_point_with_the_projector_pixel_that_opencv_gives(renderer, distortion):
     """Oracle: OpenCV projects the true point. The majority of a pixel is its centre, so the decoded
     position is within half a projector pixel; 25 positions per pixel blur that by a quarter of the
     pixel's width. The renderer's own position is a mean over projector pixels with the same bound;

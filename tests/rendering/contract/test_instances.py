@@ -95,7 +95,7 @@ def test_ids_depth_and_silhouettes_of_a_heap_agree_with_those_of_single_boxes(pa
 
 
 @pytest.mark.slow
-def test_a_silhouette_does_not_depend_on_other_parts(path_tracer):
+def test_other_parts_do_not_change_a_silhouette(path_tracer):
     """Each instance alone in the scene has the same silhouette, and all of it is visible."""
     rig = askew_rig()
     index, poses = heap(12, 3)
@@ -109,7 +109,7 @@ def test_a_silhouette_does_not_depend_on_other_parts(path_tracer):
         assert np.array_equal(alone.instance == 0, one.in_image(72, 96))
 
 
-def test_a_part_half_outside_the_image_has_a_complete_silhouette(path_tracer):
+def test_a_part_partly_outside_the_image_has_a_complete_silhouette(path_tracer):
     """A square on the left border: its mask is symmetric about the border, half of it outside."""
     rig = make_rig(centred(64, 48, 80), centred(32, 24, 40))
     half = np.array([0.1, 0.1, 0.001])
@@ -122,7 +122,7 @@ def test_a_part_half_outside_the_image_has_a_complete_silhouette(path_tracer):
     assert silhouette.in_image(48, 64).sum() == 8 * 16
 
 
-def test_parts_out_of_sight_have_silhouettes_that_are_empty_or_outside_the_image(path_tracer):
+def test_parts_out_of_sight_have_an_empty_silhouette_or_one_outside_the_image(path_tracer):
     rig = make_rig(centred(64, 48, 80), centred(32, 24, 40))
     places = [(0.0, 0.0, -0.5), (5.0, 0.0, 1.0), (0.6, 0.0, 1.0)]
     poses = [rigid(np.eye(3), np.array(p)) for p in places]
@@ -283,7 +283,7 @@ def test_a_smooth_mesh_is_lit_like_the_sphere_that_it_approximates(path_tracer):
     assert np.abs(rendering.truth.depth_m - z)[inside].max() < 3e-4
 
 
-def test_a_bin_is_on_its_table_and_centred_on_the_origin(path_tracer):
+def test_a_bin_rests_on_its_table_centred_on_the_origin(path_tracer):
     """Seen from straight above: rim, floor and table at their heights, walls at their sizes."""
     box = Bin(inner_m=(0.4, 0.3, 0.1), wall_m=0.02, material=lambert(0.5))
     rig = make_rig(centred(120, 90, 150), centred(32, 24, 40))
@@ -331,7 +331,7 @@ def test_a_mesh_bin_is_seen_with_its_inclined_walls(path_tracer, tmp_path):
     assert (truth.instance == -1).all()
 
 
-def test_the_scene_behind_a_camera_is_invisible(path_tracer):
+def test_a_wall_behind_the_camera_is_invisible(path_tracer):
     rig = askew_rig()
     scene = in_camera(rig, wall(1.0, lambert(0.5)), T_world_cam=SOMEWHERE)
     flipped = in_camera(
@@ -344,7 +344,7 @@ def test_the_scene_behind_a_camera_is_invisible(path_tracer):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turned_grain", [False, True])
-def test_grooves_have_the_direction_of_their_part(path_tracer, turned_grain):
+def test_grooves_are_rotated_with_their_part(path_tracer, turned_grain):
     """Two squares with different rotations under the projector. Oracle for each pixel: GGX with two
     widths, its x along the grooves of the part (Burley's aspect, Heitz' masking). At roughness
     0.25, multiple reflection adds less than 1 %.

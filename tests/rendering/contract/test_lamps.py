@@ -32,7 +32,7 @@ def corner_form_factor(a, b, h):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("depth", "sky"), [slow(1, 0.0), slow(1, 0.7), slow(3, 0.0), (3, 0.7)])
-def test_a_square_lamp_and_the_sky_light_a_floor_by_their_form_factors(path_tracer, sky, depth):
+def test_a_lamp_and_the_sky_light_a_floor_according_to_their_form_factors(path_tracer, sky, depth):
     """albedo * (L_lamp F + L_sky (1 - F)): the black lamp hides the sky behind it. A floor alone
     has no second bounce, so deeper paths change only the noise.
     """
@@ -117,7 +117,7 @@ def test_a_lamp_in_the_projector_s_light_casts_a_shadow_and_looks_black(path_tra
     assert on_lamp.sum() > 50 and not white[on_lamp].any()
 
 
-def test_a_wall_in_constant_light_has_albedo_times_this_light_in_every_band(path_tracer):
+def test_a_wall_in_uniform_light_has_the_radiance_albedo_times_light(path_tracer):
     rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
     sky, albedo = (0.9, 0.5, 0.2), (0.3, 0.6, 0.9)
     scene = in_camera(
@@ -202,7 +202,7 @@ def spot_direction():
     return np.array([aside * np.sin(north), aside * np.cos(north), np.sin(height)])
 
 
-def test_a_spot_of_a_map_is_visible_in_its_direction(path_tracer, tmp_path):
+def test_a_bright_spot_of_a_map_is_visible_in_its_direction(path_tracer, tmp_path):
     """A camera in that direction has it in its centre: eight texels are 5.6 degrees."""
     direction = spot_direction()
     rig = make_rig(centred(33, 33, 80), centred(8, 8, 8))
@@ -223,7 +223,9 @@ def test_a_spot_of_a_map_is_visible_in_its_direction(path_tracer, tmp_path):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_spot_of_a_map_lights_a_wall_by_its_angle_and_solid_angle(path_tracer, tmp_path, axis):
+def test_a_bright_spot_of_a_map_lights_a_wall_by_cosine_and_solid_angle(
+    path_tracer, tmp_path, axis
+):
     """albedo / pi * L * solid angle * cosine, on walls along each axis of the world."""
     direction = spot_direction()
     normal = np.eye(3)[axis] * np.sign(direction[axis])
@@ -288,7 +290,7 @@ def test_a_map_rotates_about_the_world_s_z_by_the_right_hand_rule(path_tracer, t
     assert abs(image.mean() - expected) < 4 * error + 0.005 * expected
 
 
-def test_a_map_with_a_stated_level_has_this_mean_over_all_directions(path_tracer, tmp_path):
+def test_the_stated_level_of_a_map_is_its_mean_over_all_directions(path_tracer, tmp_path):
     """A cap of 45 degrees is (1 - cos 45) / 2 of the sphere, but a quarter of the pixels."""
     import mitsuba as mi
 
@@ -343,7 +345,7 @@ def test_a_quad_repeats_its_texture_upright_from_its_corner(path_tracer):
         assert (height[row, 0] > 0.5) == red and (height[row, 1] > 0.5) != red, (row, height)
 
 
-def test_a_map_that_cannot_be_read_is_named(path_tracer, tmp_path):
+def test_the_error_for_an_unreadable_map_names_the_file(path_tracer, tmp_path):
     rig = make_rig(centred(16, 16, 40), centred(8, 8, 8))
     broken = tmp_path / "broken.exr"
     broken.write_bytes(b"not a picture")
@@ -353,7 +355,7 @@ def test_a_map_that_cannot_be_read_is_named(path_tracer, tmp_path):
             ambient(path_tracer, scene, samples=1)
 
 
-def test_real_maps_are_read(path_tracer, shared):
+def test_a_real_sky_map_lights_a_floor_with_its_weighted_mean(path_tracer, shared):
     """Oracle: the mean of a real sky over all directions, by cosine weights and by rendering."""
     import mitsuba as mi
 

@@ -29,7 +29,7 @@ from graycast.world.scene import Quad, Sphere
         slow("projector", 0.35), slow("projector", 0.5), slow("projector", 0.8), ("projector", 1.5),
     ],
 )  # fmt: skip
-def test_an_edge_is_blurred_by_half_the_radius_of_the_thin_lens(path_tracer, device, z_m):
+def test_the_blur_of_an_edge_is_half_the_thin_lens_radius(path_tracer, device, z_m):
     """The line spread of a disc of radius R has the standard deviation R / 2. R by similar
     triangles: rays from the pupil's rim to a point at z cross the plane in focus, at f, apart by A
     |z - f| / z, where f / fx is a pixel.
@@ -51,7 +51,7 @@ def test_an_edge_is_blurred_by_half_the_radius_of_the_thin_lens(path_tracer, dev
 
 
 @pytest.mark.parametrize("device", ["camera", "projector"])
-def test_a_pupil_that_becomes_small_gives_the_picture_of_a_pinhole(path_tracer, device):
+def test_a_tiny_pupil_gives_the_picture_of_a_pinhole(path_tracer, device):
     plain = make_rig(centred(48, 36, 60), centred(32, 24, 40), baseline_m=(0.1, 0.0, 0.0))
     lens = replace(getattr(plain, device), aperture_m=1e-7, focus_m=0.3)
     checker = (np.indices((24, 32)).sum(axis=0) % 2 * 255).astype(np.uint8)[None]
@@ -69,7 +69,7 @@ def test_a_pupil_that_becomes_small_gives_the_picture_of_a_pinhole(path_tracer, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("picture", ["spot", "white"])
-def test_defocus_loses_no_light(path_tracer, picture):
+def test_defocus_conserves_light(path_tracer, picture):
     """A bright square, and the whole field with its borders: their sums on a wall stay."""
     psf_px, samples = (1.0, 256) if path_tracer.name == "mitsuba" else (0.0, 64)
     sharp = make_rig(centred(96, 96, 60), centred(32, 24, 40), baseline_m=NEAR_BY)
@@ -94,7 +94,7 @@ def test_defocus_loses_no_light(path_tracer, picture):
 
 
 @pytest.mark.slow
-def test_the_shadow_of_an_edge_is_as_soft_as_the_pupil_is_wide(path_tracer):
+def test_the_width_of_a_soft_shadow_follows_from_the_width_of_the_pupil(path_tracer):
     """Oracle: by similar triangles, the pupil's disc is (z2 - z1) / z1 as large on the wall."""
     z1, z2, f_px, aperture_m = 0.5, 0.8, 200.0, 30e-3
     camera = centred(120, ROWS, f_px)

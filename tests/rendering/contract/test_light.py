@@ -95,9 +95,7 @@ def test_the_back_of_a_quad_is_dark(renderer):
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_shadow_is_away_from_the_projector_and_has_the_width_of_similar_triangles(
-    renderer, axis, side
-):
+def test_a_shadow_falls_away_from_the_projector_at_the_expected_width(renderer, axis, side):
     """A black square in front of a wall: a line has f s / z1 dark pixels of the square itself and f
     b (1 / z1 - 1 / z2) of its shadow, on the side away from the projector.
     """
@@ -127,7 +125,7 @@ def test_a_shadow_is_away_from_the_projector_and_has_the_width_of_similar_triang
     assert np.abs(line[(far_end - np.arange(96)) * side > 0.6]).max() < 0.02
 
 
-def test_the_shadow_of_a_sphere_is_away_from_the_projector(renderer):
+def test_the_shadow_of_a_sphere_falls_away_from_the_projector(renderer):
     """Oracle: the cone from the lens around the sphere, cut with the wall."""
     rig = make_rig(centred(96, 72, 80.0), centred(64, 48, 22), baseline_m=(0.2, 0.0, 0.0))
     centre, radius, wall_m = np.array([0.0, 0.0, 0.7]), 0.06, 1.0
@@ -151,7 +149,7 @@ def test_the_shadow_of_a_sphere_is_away_from_the_projector(renderer):
     assert dark.sum() > 50 and (np.nonzero(dark)[1] < 48).all()
 
 
-def test_one_seed_gives_the_same_bits_again(renderer):
+def test_rendering_twice_with_one_seed_gives_equal_bits(renderer):
     rig = askew_rig(camera=optics(40, 30, 50))
     scene = in_camera(rig, wall(0.9, lambert(0.5)))
     pattern = np.random.default_rng(1).integers(0, 2, (3, 48, 64)).astype(np.uint8) * 255

@@ -43,7 +43,7 @@ def dull_pair(mitsuba_renderer, cycles_renderer):
     ]
 
 
-def test_mitsuba_and_cycles_render_the_same_picture(dull_pair):
+def test_mitsuba_and_cycles_render_statistically_equal_pictures(dull_pair):
     """Two programs without common code, each with its own random numbers."""
     ours, theirs = dull_pair
     for k in range(ours.shape[1]):
@@ -63,7 +63,7 @@ def test_the_comparison_detects_a_2_percent_error_and_a_missing_bounce(dull_pair
     assert not agree(blocks(shallow)[:, 0], theirs[:, 0])
 
 
-def test_mitsuba_and_cycles_render_one_picture_to_half_a_percent(mitsuba_renderer, cycles_renderer):
+def test_pictures_by_mitsuba_and_cycles_agree_to_half_a_percent(mitsuba_renderer, cycles_renderer):
     scene, layout = corner_scene(**DULL)
     pattern = stripes(scene.rig)
     ours, theirs = (
@@ -82,7 +82,9 @@ LIMITS = {"wall": 0.002, "metal": 0.005, "coat": 0.03}
 NOISE = {"wall": 0.001, "metal": 0.007, "coat": 0.003}
 
 
-def test_each_material_is_as_bright_in_both_as_its_model_allows(mitsuba_renderer, cycles_renderer):
+def test_each_material_is_equally_bright_in_mitsuba_and_cycles_within_its_limit(
+    mitsuba_renderer, cycles_renderer
+):
     scene, layout = corner_scene(metal=METAL, coat=COAT)
     pattern = plain_pattern(scene.rig, 255)
     (ours, truth), (theirs, _) = (

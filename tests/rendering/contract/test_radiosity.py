@@ -156,7 +156,7 @@ def test_two_walls_light_each_other_as_radiosity_predicts(groove, depth):
 
 
 @pytest.mark.slow
-def test_the_radiosity_solution_is_converged_and_differs_from_direct_light(groove):
+def test_the_radiosity_solution_has_converged_and_differs_from_direct_light(groove):
     scene, fine, images = groove
     coarse = Groove(10, fine.lens_m)
     point = np.stack([np.linspace(0.02, 0.28, 9), np.linspace(-0.2, 0.2, 9), np.zeros(9)], axis=1)
@@ -168,7 +168,7 @@ def test_the_radiosity_solution_is_converged_and_differs_from_direct_light(groov
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [slow("sphere"), "groove"])
-def test_a_white_object_in_white_light_is_invisible(path_tracer, shape):
+def test_a_white_object_in_uniform_white_light_is_invisible(path_tracer, shape):
     """White furnace: with albedo 1 and a constant radiance of 1, every pixel is 1."""
     if shape == "groove":
         scene = groove_scene(lambert(1.0), WHITE)

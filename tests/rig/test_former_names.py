@@ -42,7 +42,7 @@ def lines():
 
 
 @pytest.mark.parametrize("former", FORMER)
-def test_a_former_name_gives_the_same_scanner(former, tmp_path):
+def test_a_former_name_of_a_scanner_gives_the_same_scanner(former, tmp_path):
     now = f"like-{former}"
     assert former not in PRESETS and now in PRESETS
     assert scanner_text(preset(former, "small")) == scanner_text(preset(now, "small"))
@@ -60,14 +60,14 @@ def test_the_log_has_one_line_for_each_former_name(lines):
     ]
 
 
-def test_no_current_name_causes_a_log_line(lines):
+def test_a_current_name_causes_no_log_line(lines):
     """The paper's rig is derived from another one."""
     for name in PRESETS:
         preset(name, "small")
     assert lines == []
 
 
-def test_files_with_a_former_name_are_read_under_the_current_one(tmp_path):
+def test_files_with_a_former_name_are_read_with_the_current_name(tmp_path):
     assert Config(parts=PARTS, rig="phoxi-s").rig == "like-phoxi-s"
     entries = [{"name": "left", "rig": "phoxi-l"}, {"name": "right", "rig": "paper"}]
     config = Config(parts=PARTS, scanners=entries)
@@ -76,14 +76,14 @@ def test_files_with_a_former_name_are_read_under_the_current_one(tmp_path):
     assert DesignSpec.model_validate(study).sweeps[0].rig == ("like-phoxi-m", "own.yaml")
 
 
-def test_a_rig_file_keeps_the_name_that_its_owner_wrote(tmp_path):
+def test_reading_a_rig_file_keeps_the_name_that_its_owner_wrote(tmp_path):
     """A name in a rig file is its owner's, who may use it for another device."""
     path = tmp_path / "own.yaml"
     path.write_text(scanner_text(preset("phoxi-m")).replace("like-phoxi-m", "phoxi-m"))
     assert load_scanner(path).rig.name == "phoxi-m"
 
 
-def test_a_command_with_a_former_name_prints_the_current_one(capsys):
+def test_a_command_with_a_former_name_prints_the_current_name(capsys):
     assert main(["rig", "show", "phoxi-l"]) == 0
     assert capsys.readouterr().out.startswith("rig like-phoxi-l\n")
 
@@ -105,7 +105,7 @@ def claim_of(name, *, seed=3, **changes):
     return make_claim({"rig": name} | changes, seed, (), rig, 0.1)
 
 
-def test_a_dataset_s_claim_with_a_former_name_is_the_same_claim(tmp_path):
+def test_a_dataset_s_claim_may_have_the_former_name_of_its_scanner(tmp_path):
     path = tmp_path / "graycast.json"
     path.write_text(json.dumps(claim_of("phoxi-s")))
     refuse_other(path, claim_of("like-phoxi-s"))
@@ -118,14 +118,14 @@ def test_a_dataset_s_claim_with_a_former_name_is_the_same_claim(tmp_path):
             refuse_other(path, other)
 
 
-def test_a_claim_that_was_edited_by_hand_is_still_refused(tmp_path):
+def test_a_hand_edited_claim_with_a_former_name_is_refused(tmp_path):
     path = tmp_path / "graycast.json"
     path.write_text(json.dumps(claim_of("phoxi-s", seed=4) | {"seed": 3}))
     with pytest.raises(DatasetError, match="of another configuration"):
         refuse_other(path, claim_of("like-phoxi-s"))
 
 
-def test_a_scene_differs_only_in_the_former_name(tmp_path):
+def test_a_former_name_alone_does_not_make_a_scene_differ(tmp_path):
     manifest = {"config": {"rig": "phoxi-s", "count": 3}}
     (tmp_path / "manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "rig.yaml").write_bytes(b"name: phoxi-s\nfx: 1\n")

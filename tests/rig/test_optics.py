@@ -68,18 +68,18 @@ def test_rays_agree_with_opencv(optics):
 
 
 @ALL
-def test_every_pixel_is_projected_back_to_itself(optics):
+def test_the_ray_of_every_pixel_is_projected_back_to_that_pixel(optics):
     pixel = pixels_all_over(optics)
     distance = np.random.default_rng(1).uniform(0.1, 5, size=(*pixel.shape[:2], 1))
     assert np.abs(project(optics, rays(optics, pixel) * distance) - pixel).max() < 1e-6
 
 
-def test_a_known_point_is_projected_to_its_pixel():
+def test_a_point_is_projected_to_the_pixel_computed_by_hand():
     """Computed by hand: 800 * 0.1 / 2 + 319.5 and 600 * (-0.2) / 2 + 200."""
     assert project(PLAIN, np.array([0.1, -0.2, 2.0])).tolist() == [359.5, 140.0]
 
 
-def test_each_coefficient_has_the_effect_of_brown_s_model():
+def test_each_distortion_coefficient_acts_as_in_brown_s_model():
     """Computed by hand at (x, y) = (0.2, 0.1), r2 = 0.05."""
     point, unit = np.array([0.2, 0.1]), np.eye(5)
     moved = [distort(point, tuple(row)) - point for row in unit]
@@ -93,7 +93,7 @@ def test_each_coefficient_has_the_effect_of_brown_s_model():
     assert np.allclose(moved, expected, rtol=0, atol=1e-16)
 
 
-def test_a_point_behind_the_lens_has_no_pixel():
+def test_a_point_behind_the_lens_is_not_projected():
     assert np.isnan(project(PLAIN, np.array([[0.0, 0, -1], [0, 0, 0]]))).all()
 
 
@@ -106,7 +106,7 @@ def test_a_point_far_outside_the_field_is_not_folded_back_into_the_image():
 
 
 @pytest.mark.parametrize("optics", [CAMERA, PROJECTOR], ids=["camera", "beam"])
-def test_the_fold_is_where_the_distorted_radius_stops_growing(optics):
+def test_a_lens_folds_over_where_its_distorted_radius_stops_growing(optics):
     """Oracle: the first maximum of r * radial(r^2) on a fine grid."""
     k1, k2, _, _, k3 = optics.distortion
     r = np.linspace(0, 3, 300_001)
@@ -115,7 +115,7 @@ def test_the_fold_is_where_the_distorted_radius_stops_growing(optics):
     assert math.sqrt(fold_radius2(optics.distortion)) == pytest.approx(r[first], abs=2e-5)
 
 
-def test_distortion_that_only_stretches_has_no_fold():
+def test_a_lens_whose_distortion_only_stretches_has_no_fold():
     assert fold_radius2((0.1, 0.2, 0.0, 0.0, 0.0)) == math.inf
     assert fold_radius2((0.0, 0.0, 0.01, 0.01, 0.0)) == math.inf
     assert fold_radius2((-1 / 3, 0.0, 0.0, 0.0, 0.0)) == pytest.approx(1.0)
@@ -129,14 +129,14 @@ def test_distortion_that_folds_over_inside_the_image_is_refused(distortion):
         undistort(np.array([[0.5, 0.5], [0.0, 0.0]]), distortion)
 
 
-def test_the_field_of_view_is_measured_from_border_to_border():
+def test_the_field_of_view_extends_from_border_to_border_of_the_picture():
     """In a 90 degree lens, half the width equals the focal length."""
     optics = Optics(width_px=200, height_px=100, fx_px=100.0, fy_px=50.0, cx_px=99.5, cy_px=49.5)
     assert np.degrees(optics.field_of_view_rad) == pytest.approx([90, 90])
 
 
 @pytest.mark.parametrize("z_m", [0.3, 0.8, 5.0])
-def test_the_blur_of_a_point_is_where_rays_from_the_pupil_s_rim_cross_the_focal_plane(z_m):
+def test_the_blur_disc_is_bounded_by_rays_from_the_rim_of_the_pupil(z_m):
     """The rays are lines through (+-A / 2, 0) and the point; a pixel is focus / fx wide there."""
     aperture_m, focus_m = 0.02, 0.5
     lens = replace(PLAIN, aperture_m=aperture_m, focus_m=focus_m)
@@ -146,14 +146,14 @@ def test_the_blur_of_a_point_is_where_rays_from_the_pupil_s_rim_cross_the_focal_
     assert blur_radius_px(lens, np.array([z_m]))[0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_blurs_add_by_their_squares():
+def test_the_squares_of_blur_radii_add_up():
     """3, 4, 5: defocus of 0.02 / 2 (1 / 0.5 - 1 / z) 800 px is 2 px at z = 0.5 / (1 - 0.125) m."""
     lens = replace(PLAIN, aperture_m=0.02, focus_m=0.5, psf_px=1.5)
     assert PLAIN.fx_px == 800.0
     assert blur_radius_px(lens, np.array([0.5 / 0.875]))[0] == pytest.approx(2.5, rel=1e-12)
 
 
-def test_a_lens_in_focus_and_a_pinhole_have_only_the_constant_blur():
+def test_a_focused_lens_and_a_pinhole_have_only_the_constant_blur():
     lens = replace(PLAIN, aperture_m=0.02, focus_m=0.5, psf_px=1.2)
     assert blur_radius_px(lens, np.array([0.5]))[0] == pytest.approx(1.2)
     assert blur_radius_px(replace(lens, aperture_m=0.0), np.array([0.1, 9.0])) == pytest.approx(1.2)
@@ -162,7 +162,7 @@ def test_a_lens_in_focus_and_a_pinhole_have_only_the_constant_blur():
     assert blur_radius_px(far, np.array([2.0]))[0] == pytest.approx(0.01 / 2 * 800)
 
 
-def test_a_camera_dims_by_the_fourth_power_of_the_cosine_to_its_axis():
+def test_a_camera_dims_light_by_the_fourth_power_of_the_cosine():
     """At 45 degrees to the axis a quarter of the light is left; on the axis, all of it."""
     lens = Optics(width_px=101, height_px=1, fx_px=100.0, fy_px=100.0, cx_px=0.0, cy_px=0.0)
     assert (relative_illumination(lens) == 1).all()
@@ -190,7 +190,7 @@ def test_a_camera_dims_by_the_fourth_power_of_the_cosine_to_its_axis():
         ({"fill_factor": 1.1}, "fill_factor is 1.1"),
     ],
 )
-def test_impossible_intrinsics_are_refused(change, message):
+def test_impossible_values_of_a_lens_are_refused(change, message):
     good = {"width_px": 640, "height_px": 480, "fx_px": 8.0, "fy_px": 6.0, "cx_px": 3.0}
     with pytest.raises(ValueError, match=message):
         Optics(**(good | {"cy_px": 2.0} | change))

@@ -47,7 +47,7 @@ def parallel_rig(along, fx_px=900.0, baseline_m=0.2):
 
 
 @EVERY
-def test_presets_have_the_values_of_their_family(name):
+def test_phoxi_presets_have_their_stated_values(name):
     baseline_m, toe_in_deg, near_m, far_m, fx_px = PHOXI[name]
     low, full = preset_rig(name), preset_rig(name, "full")
     assert low.baseline_m == pytest.approx(baseline_m)
@@ -62,7 +62,7 @@ def test_presets_have_the_values_of_their_family(name):
 
 @EVERY
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
-def test_a_preset_s_optical_axes_pass_through_the_middle_of_their_pictures(name, resolution):
+def test_the_optical_axes_of_a_preset_pass_through_the_middle_of_each_picture(name, resolution):
     """The outer corners of opposite corner pixels have opposite slopes."""
     rig = preset_rig(name, resolution)
     for lens in (rig.camera, rig.projector):
@@ -72,7 +72,7 @@ def test_a_preset_s_optical_axes_pass_through_the_middle_of_their_pictures(name,
 
 
 @EVERY
-def test_toed_in_axes_cross_inside_the_working_range(name):
+def test_the_axes_of_a_toed_in_rig_cross_inside_its_working_range(name):
     """Oracle: the isosceles triangle over the baseline, sides b / 2 / sin(toe-in)."""
     baseline_m, toe_in_deg, near_m, far_m, _ = PHOXI[name]
     crossing_m = baseline_m / 2 / math.sin(math.radians(toe_in_deg))
@@ -105,7 +105,7 @@ def test_depth_per_column_of_a_parallel_rig_follows_similar_triangles(z_m):
     )
 
 
-def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_rotated_by_one_column():
+def test_depth_per_column_of_a_toed_in_rig_agrees_with_a_ray_of_the_next_column():
     """Oracle: near the crossing of the axes, a projector ray rotates by 1 / f per column.
 
     Both devices are equally far from the crossing: depth changes by distance / f / sin(angle).
@@ -123,7 +123,7 @@ def test_depth_per_column_is_nan_where_the_projector_does_not_reach():
     assert not math.isnan(depth_per_line_m(rig, 0.450, "column"))
 
 
-def test_columns_along_the_baseline_give_no_depth():
+def test_columns_parallel_to_the_baseline_give_no_depth():
     assert depth_per_line_m(parallel_rig("y"), 1.0, "column") == math.inf
     assert depth_per_line_m(parallel_rig("x"), 1.0, "row") == math.inf
 
@@ -138,7 +138,9 @@ def test_depth_per_row_of_a_projector_above_follows_similar_triangles(z_m):
 @EVERY
 @pytest.mark.parametrize("azimuth_rad", [0.0, 0.4, -2.0])
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.3])
-def test_a_placed_rig_is_level_and_looks_at_its_target(name, azimuth_rad, tilt_rad):
+def test_a_placed_rig_looks_at_its_target_at_the_stated_distance_and_tilt(
+    name, azimuth_rad, tilt_rad
+):
     rig, target, distance_m = preset_rig(name), np.array([0.05, -0.1, 0.02]), 0.9
     T_world_cam = place(
         rig, target_m=target, distance_m=distance_m, tilt_rad=tilt_rad, azimuth_rad=azimuth_rad
@@ -159,7 +161,7 @@ def test_a_placed_rig_is_level_and_looks_at_its_target(name, azimuth_rad, tilt_r
     assert np.allclose(middle[:2] - target[:2], np.multiply(stands, offset), rtol=0, atol=1e-12)
 
 
-def test_the_image_of_a_tilted_rig_has_y_down():
+def test_the_image_of_a_tilted_rig_has_its_y_axis_down():
     """The rig is at -y and looks to +y: higher points are higher in the picture."""
     rig = preset_rig("like-phoxi-m")
     T_world_cam = place(rig, target_m=np.zeros(3), distance_m=0.9, tilt_rad=0.5, azimuth_rad=0.0)
@@ -187,7 +189,7 @@ def test_an_impossible_rig_is_refused(change, message):
         Rig(**(fields | change))
 
 
-def test_a_baseline_in_millimetres_is_noticed():
+def test_a_baseline_in_millimetres_is_recognized_as_a_wrong_unit():
     with pytest.raises(ValueError, match="m: give T in metres, not in millimetres"):
         parallel_rig("x", baseline_m=230.0)
 
@@ -206,7 +208,7 @@ def test_a_linear_projector_emits_in_proportion_to_the_grey_level():
     assert emission(parallel_rig("x"), LEVELS) == pytest.approx(LEVELS / 255, abs=1e-15)
 
 
-def test_the_response_is_linear_between_its_equally_spaced_values():
+def test_the_response_curve_is_linear_between_equally_spaced_values():
     """Computed by hand: knots at 0, 85, 170 and 255."""
     rig = replace(parallel_rig("x"), response=(0.0, 0.1, 0.4, 1.0))
     level = np.array([0, 17, 85, 170, 187, 255], dtype=np.uint8)
@@ -214,7 +216,7 @@ def test_the_response_is_linear_between_its_equally_spaced_values():
 
 
 @pytest.mark.parametrize("response", [(0.0, 1.0), (0.0, 0.1, 0.4, 1.0), (0.0, 0.9, 1.0)])
-def test_the_grey_level_for_a_share_of_light_is_the_nearest_one(response):
+def test_a_share_of_light_is_shown_by_the_nearest_grey_level(response):
     """Oracle: a search over all levels."""
     rig = replace(parallel_rig("x"), response=response)
     assert (grey_levels(rig, emission(rig, LEVELS)) == LEVELS).all()
@@ -244,7 +246,7 @@ def test_the_grey_level_for_a_share_of_light_is_the_nearest_one(response):
         ({"speckle_contrast": -0.1}, "speckle_contrast is -0.1"),
     ],
 )
-def test_impossible_light_is_refused(change, message):
+def test_impossible_light_of_a_projector_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         replace(parallel_rig("x"), **change)
 
@@ -252,7 +254,7 @@ def test_impossible_light_is_refused(change, message):
 # --- rigs of other baselines -------------------------------------------------------------------
 
 
-def test_a_rig_of_another_baseline_looks_at_the_target():
+def test_a_rig_given_another_baseline_is_aimed_at_the_target():
     """Oracle: both axes, as lines, pass through the point in front of the baseline's middle."""
     rig = aimed(preset_rig("like-phoxi-l", "small"), baseline_m=0.3, distance_m=1.2)
     assert rig.baseline_m == pytest.approx(0.3)
@@ -265,13 +267,13 @@ def test_a_rig_of_another_baseline_looks_at_the_target():
 
 
 @pytest.mark.parametrize("name", ["like-phoxi-s", "like-phoxi-m", "like-phoxi-l"])
-def test_a_rig_with_its_own_baseline_and_distance_is_unchanged(name):
+def test_aiming_a_rig_at_its_own_baseline_and_distance_changes_nothing(name):
     rig = preset_rig(name, "small")
     same = aimed(rig, baseline_m=rig.baseline_m, distance_m=standoff_m(rig))
     np.testing.assert_allclose(same.T_cam_proj, rig.T_cam_proj, atol=1e-9)
 
 
-def test_a_projector_with_lens_shift_is_aimed_by_the_middle_of_its_picture():
+def test_a_projector_with_lens_shift_is_aimed_with_the_middle_of_its_picture():
     """Symptom: half of the bin dark. Its optical axis goes through the lowest row of its picture.
 
     Oracle: the target is in the middle of both pictures.
@@ -289,7 +291,7 @@ def test_a_projector_with_lens_shift_is_aimed_by_the_middle_of_its_picture():
     assert np.linalg.norm(middle - target) == pytest.approx(0.9)
 
 
-def test_the_roll_of_a_device_is_kept_when_it_is_aimed():
+def test_aiming_a_projector_keeps_its_roll():
     """A projector that is rolled about its own axis keeps this roll."""
     rig = preset_rig("like-phoxi-m", "small")
     roll = rigid(axis_rotation("z", 0.3), np.zeros(3))

@@ -48,7 +48,7 @@ def lines_of(name):
     return lines
 
 
-def test_the_shelf_has_exactly_one_file_for_each_name():
+def test_the_shelf_has_exactly_one_file_for_each_scanner():
     names = {path.name for path in files("graycast.rig.shelf").iterdir()}
     own = {name for name in names if name.endswith(".yaml")} - {"measured.yaml"}
     assert own == {f"{name}.yaml" for name in SHELF}
@@ -56,7 +56,7 @@ def test_the_shelf_has_exactly_one_file_for_each_name():
 
 
 @EVERY
-def test_every_number_has_a_class_and_its_source(name):
+def test_every_number_in_a_scanner_s_file_states_its_class_of_source(name):
     """Oracle: the lines of the file that look like numbers, without a parser of YAML."""
     stated = [line for line in lines_of(name) if re.match(r"^\s*(- )?\w+: *(\[|-?\d)", line)]
     light = [line for line in lines_of(name) if line.startswith("light:")]
@@ -92,7 +92,7 @@ def test_a_number_without_a_class_of_source_is_refused(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("base", ["like-phoxi-n", "like-phoxi-m", "like-zivid-2plus-mr60"])
-def test_a_base_that_is_unknown_or_has_a_base_itself_is_refused(monkeypatch, tmp_path, base):
+def test_a_base_file_that_is_unknown_or_has_its_own_base_is_refused(monkeypatch, tmp_path, base):
     for name in ("like-phoxi-m", "like-zivid-2plus-mr60"):  # both have a base: a cycle, a chain
         (tmp_path / f"{name}.yaml").write_text(f"base: {base}\n")
     monkeypatch.setattr(entry, "files", lambda package: tmp_path)
@@ -108,14 +108,14 @@ def test_a_section_of_a_file_replaces_its_base_s_whole_section():
     assert not {key for key in stated_numbers("like-zivid-2plus-mr60") if "noise" in key}
 
 
-def test_the_page_says_how_many_numbers_are_from_memory():
+def test_the_page_on_the_shelf_counts_the_numbers_from_memory():
     page = Path(__file__).resolve().parents[2] / "docs/reference/shelf.md"
     every = [number for name in SHELF for number in stated_numbers(name).values()]
     count = sum(number.kind == "memory" for number in every)
     assert f" {count} numbers are still from memory" in page.read_text().replace("\n", " ")
 
 
-def test_the_class_of_several_numbers_is_the_weakest_class():
+def test_several_numbers_together_have_their_weakest_class_of_source():
     assert class_of("like-mech-eye-pro-s", "camera.size_px") == "quoted"
     assert class_of("like-mech-eye-pro-s", "camera.size_px", "claims.capture_s") == "memory"
     assert class_of("like-phoxi-l", "near_m", "far_m", "f_number") == "choice"
@@ -137,7 +137,7 @@ def common_box_m(rig, z_m):
 
 
 @EVERY
-def test_the_common_field_agrees_with_the_maker_s_value(name):
+def test_the_common_field_of_view_agrees_with_the_maker_s_value(name):
     """Within 10 %: makers say neither where they measure the field nor whether it is a rectangle.
 
     The focal lengths have other sources than the fields, except in the Mech-Eye family, whose focal
@@ -163,7 +163,7 @@ def test_the_spacing_of_points_agrees_with_the_maker_s_value(name):
 
 
 @EVERY
-def test_the_middle_rays_meet_inside_the_range(name):
+def test_central_rays_of_camera_and_projector_meet_inside_the_range(name):
     """For two scanners, they meet where the makers' angles make a triangle."""
     rig = preset_rig(name, "full")
     middle = [np.array([[(o.width_px - 1) / 2, (o.height_px - 1) / 2]]) for o in
@@ -197,7 +197,7 @@ def test_binning_does_not_change_the_camera_s_field_of_view(name, resolution):
         np.testing.assert_allclose(*ends, atol=1e-12)
 
 
-def test_binning_does_not_change_the_field_of_a_lens_with_offset():
+def test_binning_does_not_change_the_field_of_a_lens_with_an_offset():
     device = DeviceSection(size_px=(8, 8), fx_px=10.0, cy_px=6.0)
     ends = [
         rays(device.optics(binning), np.array([[-0.5, -0.5], [8 / binning - 0.5] * 2]))
@@ -206,7 +206,7 @@ def test_binning_does_not_change_the_field_of_a_lens_with_offset():
     np.testing.assert_allclose(*ends, atol=1e-12)
 
 
-def test_the_mirrors_of_a_dlp4500_are_twice_as_wide_as_high_and_its_picture_is_above_the_axis():
+def test_a_dlp4500_has_mirrors_of_aspect_two_and_its_picture_above_the_axis():
     """Oracle: a throw ratio of 1.2, 16:10, and an offset of 100 %, on a wall one metre away."""
     projector = preset_rig("lab-lightcrafter-4500").projector
     assert projector.fy_px / projector.fx_px == pytest.approx(2, rel=1e-3)
@@ -217,7 +217,7 @@ def test_the_mirrors_of_a_dlp4500_are_twice_as_wide_as_high_and_its_picture_is_a
     assert lower_right[1] == pytest.approx(0, abs=1e-12)
 
 
-def test_an_office_projector_s_lens_is_below_its_picture():
+def test_an_office_projector_casts_its_picture_above_its_lens():
     """115 % of half the height from the axis to the middle of the picture."""
     projector = preset_rig("office-projector").projector
     top, bottom = rays(projector, np.array([[511.5, -0.5], [511.5, 767.5]]))[:, 1]
@@ -267,7 +267,7 @@ def test_the_measured_noise_is_similar_to_the_maker_s_value():
 
 
 @EVERY
-def test_a_projector_shines_in_the_band_of_its_wavelength(name):
+def test_a_projector_emits_light_in_the_band_of_its_wavelength(name):
     """Symptom: blue scanners emit red light, which changes brass, copper and coloured parts.
 
     The bands stand for 610, 550 and 465 nm. White is the mean of all three.

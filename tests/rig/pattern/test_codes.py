@@ -37,7 +37,7 @@ def shares(code, axis, kind):
 
 @pytest.mark.parametrize("axis", ["column", "row"])
 @pytest.mark.parametrize("steps", [3, 4, 8])
-def test_steps_of_a_cosine_sum_to_half_light_and_run_through_one_turn(axis, steps):
+def test_phase_steps_average_to_half_light_and_cover_one_full_turn(axis, steps):
     code = gray_phase(200, 150, axes=(axis,), period_px=20.0, steps=steps)
     share = np.array(shares(code, axis, "phase"))
     assert np.allclose(share.mean(axis=0), 0.5)
@@ -50,7 +50,7 @@ def test_steps_of_a_cosine_sum_to_half_light_and_run_through_one_turn(axis, step
     assert np.allclose(np.abs(z), steps / 4)  # amplitude 1/2
 
 
-def test_lines_light_each_pixel_once_in_a_period():
+def test_line_shift_patterns_light_each_pixel_once_per_period():
     code = gray_line_shift(50, 10, period_px=8.0)
     share = np.array(shares(code, "column", "line"))
     assert share.shape == (8, 50)
@@ -71,7 +71,7 @@ def test_the_complementary_bit_changes_only_in_the_middle_of_every_period():
 
 
 @pytest.mark.parametrize("period_px", [16.0, 20.0])
-def test_no_two_positions_of_a_picture_share_the_phases_of_three_frequencies(period_px):
+def test_phases_at_three_frequencies_are_unique_for_each_position(period_px):
     """This includes its two ends; 0.4 rad is ten standard deviations of a typical phase."""
     code = multi_frequency(640, 480, period_px=period_px)
     periods = sorted({frame.period_px for frame in code.frames if frame.kind == "phase"})
@@ -88,7 +88,7 @@ def test_no_two_positions_of_a_picture_share_the_phases_of_three_frequencies(per
 
 
 @pytest.mark.parametrize("base", [0, 1, 2])
-def test_stripes_of_a_combined_code_are_no_wider_than_those_of_its_base(base):
+def test_stripes_of_an_xor_code_are_at_most_as_wide_as_its_base_stripes(base):
     """Two pixels per stripe in XOR-02, four in XOR-04, as in their names; eight for our bit 2."""
     code = xor_gray(256, 192, base_bit=base)
     widest = []
@@ -98,7 +98,7 @@ def test_stripes_of_a_combined_code_are_no_wider_than_those_of_its_base(base):
     assert max(widest) == 2 ** (base + 1)
 
 
-def test_short_periods_of_micro_phase_shifting_differ_by_less_than_a_seventh():
+def test_the_periods_of_micro_phase_shifting_differ_by_less_than_a_seventh():
     code = micro_phase(640, 480, period_px=16.0)
     periods = {frame.period_px for frame in code.frames if frame.kind == "phase"}
     assert len(periods) == 6
@@ -113,14 +113,14 @@ def test_offset_and_stride_set_the_columns_of_a_code_on_the_projector():
     assert share[5:].tolist() == [0] * 3 + [1] * 6 + [0] * 6 + [1] * 3
 
 
-def test_patterns_compensate_the_projector_s_response():
+def test_patterns_compensate_for_the_projector_s_response():
     code = gray_phase(64, 8, steps=4)
     squared = code.render(lambda share: np.round(255 * np.sqrt(share)).astype(np.uint8))
     light = (squared / 255.0) ** 2
     assert np.abs(light - code.render() / 255.0).max() < 1.5 / 255
 
 
-def test_pictures_are_written_in_the_order_of_projection(tmp_path):
+def test_pattern_files_are_numbered_in_the_order_of_projection(tmp_path):
     code = gray_phase(40, 30, axes=("row",), inverses=True)
     paths = list(write_pngs(code, tmp_path))
     assert len({p.name for p in paths}) == len(code.frames)
@@ -184,6 +184,6 @@ WHITE = Frame(kind="white")
         (lambda: gray_line_shift(64, 8, period_px=7.5), "period_px is 7.5; give a whole number"),
     ],
 )
-def test_meaningless_frames_and_codes_are_refused(make, message):
+def test_impossible_frames_and_codes_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()

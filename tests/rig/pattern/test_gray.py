@@ -16,7 +16,7 @@ def bits_of(code, axis):
     return word
 
 
-def test_eight_columns_have_the_code_words_of_the_patent():
+def test_eight_columns_have_the_code_words_of_gray_s_patent():
     """The reflected code by hand: 000 001 011 010 110 111 101 100."""
     code = gray(8, 2, axes=("column",))
     pictures = code.render()[2:] // 255
@@ -29,7 +29,7 @@ def test_eight_columns_have_the_code_words_of_the_patent():
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (5, 3), (2, 2), (1025, 9)])
 @pytest.mark.parametrize("axis", ["column", "row"])
-def test_neighbours_differ_in_one_bit_and_no_code_word_occurs_twice(width, height, axis):
+def test_neighbouring_code_words_differ_in_one_bit_and_no_word_occurs_twice(width, height, axis):
     code = gray(width, height)
     word = bits_of(code, axis)
     assert len(word) == {"column": width, "row": height}[axis]
@@ -47,13 +47,13 @@ def test_gray_code_of_integers_of_any_type_differs_in_one_bit():
 @pytest.mark.parametrize(
     ("size", "bits"), [(2, 1), (3, 2), (4, 2), (5, 3), (1024, 10), (1025, 11), (1280, 11)]
 )
-def test_an_axis_has_the_smallest_number_of_bits_that_distinguishes_its_pixels(size, bits):
+def test_an_axis_uses_the_fewest_bits_that_distinguish_its_pixels(size, bits):
     code = gray(size, 2)
     assert sum(frame.axis == "column" for frame in code.frames) == bits
     assert 2 ** (bits - 1) < size <= 2**bits
 
 
-def test_frames_are_white_black_then_each_axis_from_its_coarsest_bit():
+def test_frames_begin_with_white_and_black_and_then_run_from_coarse_to_fine_bits():
     names = [frame.name for frame in gray(8, 4).frames]
     assert names == [
         "white",
@@ -75,7 +75,7 @@ def test_each_inverse_follows_its_pattern_and_is_its_complement():
     assert len({frame.name for frame in code.frames}) == len(code.frames)
 
 
-def test_white_and_black_are_first_and_every_level_is_0_or_full():
+def test_rendered_frames_begin_with_white_and_black_and_have_two_levels():
     pictures = gray(7, 5).render()
     assert pictures.dtype == np.uint8
     assert pictures.shape == (2 + 3 + 3, 5, 7)
@@ -100,6 +100,6 @@ def test_column_pictures_have_vertical_stripes_and_row_pictures_horizontal_ones(
         ({"width_px": 8, "height_px": 8, "axes": ("row", "row")}, "each once"),
     ],
 )
-def test_a_meaningless_code_is_refused(settings, message):
+def test_an_impossible_gray_code_is_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         gray(**settings)

@@ -29,9 +29,7 @@ TURNS = {
 
 @pytest.mark.parametrize("up", TURNS)
 @pytest.mark.parametrize(("unit", "unit_m"), [("mm", 1e-3), ("inch", 0.0254)])
-def test_a_crate_is_moved_to_the_origin_and_measured_in_any_frame_of_its_file(
-    tmp_path, up, unit, unit_m
-):
+def test_a_crate_in_any_frame_is_moved_to_the_origin_and_measured(tmp_path, up, unit, unit_m):
     """Oracle: the crate as it was made, and its walls at half height in closed form."""
     path = CRATE.write(tmp_path / "crate.stl", unit_m=unit_m, turn=TURNS[up].T)
     loaded = load_bin(path, unit=unit, up=up)
@@ -46,12 +44,12 @@ def test_a_crate_is_moved_to_the_origin_and_measured_in_any_frame_of_its_file(
     assert "its floor is 10.0 mm above the table" in loaded.notes[-1]
 
 
-def test_the_crate_of_the_configurations_is_this_one(tmp_path):
+def test_the_crate_of_these_tests_equals_the_crate_of_the_examples(tmp_path):
     ours = Path(__file__).resolve().parents[2] / "examples" / "data" / "crate.stl"
     assert CRATE.write(tmp_path / "crate.stl").read_bytes() == ours.read_bytes()
 
 
-def test_a_box_given_as_a_mesh_equals_the_box(tmp_path):
+def test_a_bin_read_from_a_mesh_of_a_box_equals_the_box(tmp_path):
     box = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
     own = bin_mesh(box)
     trimesh.Trimesh(own.vertices_m, own.faces, process=False).export(tmp_path / "box.ply")
@@ -62,7 +60,7 @@ def test_a_box_given_as_a_mesh_equals_the_box(tmp_path):
     assert as_mesh.floor_m == pytest.approx(box.floor_m, abs=1e-7)
 
 
-def test_the_table_is_below_the_bars_and_the_inner_floor_has_its_own_surface(tmp_path):
+def test_the_table_is_below_the_bars_of_a_crate_and_its_inner_floor_is_separate(tmp_path):
     cell = resolve_cell(config(CRATE.write(tmp_path / "crate.stl")), tmp_path)
     assert table_quad(cell.scene).center_m == pytest.approx((0, 0, -0.010), abs=1e-6)
     (name, walls, _), (floor_name, floor, material) = bin_surfaces(cell.scene.bin)
@@ -80,7 +78,7 @@ def test_the_table_is_below_the_bars_and_the_inner_floor_has_its_own_surface(tmp
     assert floor.corner_normals[..., 2] == pytest.approx(np.ones((len(floor.faces), 3)), abs=1e-6)
 
 
-def test_a_foot_as_high_as_the_inner_floor_is_not_taken_for_the_floor(tmp_path):
+def test_a_foot_level_with_the_inner_floor_is_not_taken_for_the_floor(tmp_path):
     crate = Crate(floor_m=0.01, bar_m=0.0)
     foot = trimesh.creation.box((0.5, 0.4, 0.01))
     foot.apply_translation((0.0, 0.0, -0.005))
@@ -94,7 +92,7 @@ def test_a_foot_as_high_as_the_inner_floor_is_not_taken_for_the_floor(tmp_path):
     assert reach_m == pytest.approx(np.array(crate.inner_m[:2]) / 2, abs=1e-4)
 
 
-def test_textures_repeat_as_on_a_box(tmp_path):
+def test_textures_of_a_mesh_bin_repeat_as_on_a_box(tmp_path):
     """One metre of wall is 1 / texture_size_m pictures, along each face's own axes."""
     box = Bin(inner_m=CRATE.middle_m, mesh=CRATE.load(tmp_path).mesh, texture_size_m=0.25)
     mesh = bin_mesh(box)
@@ -123,7 +121,7 @@ def test_a_configuration_has_a_mesh_or_a_size_but_not_both(tmp_path):
     assert again == config(path)
 
 
-def test_a_changed_mesh_gives_another_dataset(tmp_path):
+def test_a_changed_bin_mesh_gives_another_dataset(tmp_path):
     path = CRATE.write(tmp_path / "crate.stl")
     before = file_digests(config(path), tmp_path)
     Crate(wall_m=0.004).write(path)

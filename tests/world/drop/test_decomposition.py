@@ -46,7 +46,7 @@ def in_hulls(hulls, point) -> np.ndarray:
     return np.any([(point @ p[:, :3].T + p[:, 3] < 0).all(axis=1) for p in planes], axis=0)
 
 
-def test_a_box_is_one_hull_of_its_own_volume_and_needs_no_child_process(tmp_path, monkeypatch):
+def test_a_box_becomes_one_hull_of_equal_volume_without_a_child_process(tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a child was run"))
     result = convex_hulls(box_part((0.04, 0.05, 0.06)), tmp_path)
     ((vertices, faces),) = result.hulls
@@ -78,7 +78,7 @@ def test_hulls_of_a_ring_leave_its_hole_open_and_fill_its_body(ring_part, ring_h
 
 
 @pytest.mark.parametrize("thickness_m", [0.4e-3, pytest.param(0.8e-3, marks=pytest.mark.slow)])
-def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
+def test_hulls_of_a_thin_washer_leave_its_hole_open(thickness_m):
     """Its bore is at most half the thickness below the hull, but it is 8 mm wide."""
     mesh = mesh_of(trimesh.creation.annulus(4e-3, 8e-3, thickness_m, sections=48))
     hulls = decompose(mesh)
@@ -90,7 +90,7 @@ def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
 
 
 @pytest.mark.slow
-def test_a_thin_cup_stays_open():
+def test_hulls_of_a_thin_cup_leave_it_open():
     """With walls of 0.3 mm, no point is deep below its hull, but a ball of 30 mm fits into it."""
     outer = trimesh.creation.cylinder(0.018, 0.04, sections=32)
     inner = trimesh.creation.cylinder(0.0177, 0.04, sections=32)
@@ -103,7 +103,7 @@ def test_a_thin_cup_stays_open():
     assert not in_hulls(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
 
 
-def test_a_bolt_is_a_hexagonal_prism_and_a_round_shank():
+def test_a_bolt_becomes_hulls_of_a_hexagonal_prism_and_a_round_shank():
     """Exact: twelve vertices of the head, and a shank with the mesh's own rings."""
     mesh = zoo_part("hex_bolt").mesh
     hulls = sorted(decompose(mesh), key=lambda hull: len(hull[0]))
@@ -118,7 +118,7 @@ def test_a_bolt_is_a_hexagonal_prism_and_a_round_shank():
     assert error.filled_m < 1e-7 and error.lost_m < 0.003 * 0.037
 
 
-def test_two_cubes_that_share_an_edge_are_two_cubes():
+def test_two_cubes_that_share_an_edge_become_two_hulls():
     one = trimesh.creation.box((0.02,) * 3)
     other = one.copy()
     other.apply_translation((0.02, 0.02, 0))
@@ -131,7 +131,7 @@ def test_two_cubes_that_share_an_edge_are_two_cubes():
     assert volumes == pytest.approx([8e-6, 8e-6], rel=1e-5)
 
 
-def test_an_inner_cavity_is_filled():
+def test_hulls_fill_an_inner_cavity():
     outer = trimesh.creation.box((0.04,) * 3)
     inner = trimesh.creation.box((0.03,) * 3)
     inner.invert()
@@ -139,7 +139,7 @@ def test_an_inner_cavity_is_filled():
     assert [len(vertices) for vertices, _ in decompose(mesh)] == [8]
 
 
-def test_the_error_of_hulls_is_the_depth_of_a_notch_and_the_height_of_a_lost_corner():
+def test_the_error_of_hulls_is_the_depth_of_a_filled_notch_or_a_lost_end():
     """A wide notch, 3 mm deep, that one hull bridges; a hull that ends 2 mm early."""
     block = trimesh.creation.box((0.1, 0.1, 0.02))
     notch = trimesh.creation.box((0.04, 0.2, 0.006))
@@ -153,7 +153,7 @@ def test_the_error_of_hulls_is_the_depth_of_a_notch_and_the_height_of_a_lost_cor
     assert measure(mesh, (short,)).lost_m == pytest.approx(2e-3, rel=0.01)
 
 
-def test_distances_to_triangles_agree_with_trimesh():
+def test_distances_from_points_to_triangles_agree_with_trimesh():
     rng = np.random.default_rng(1)
     corner, point = rng.normal(size=(300, 3, 3)), rng.normal(size=(300, 3))
     nearest = decomposition.error._nearest_m(point, np.arange(300)[:, None], corner)
@@ -162,7 +162,7 @@ def test_distances_to_triangles_agree_with_trimesh():
 
 
 @pytest.mark.parametrize("open_or_reversed", ["open", "reversed"])
-def test_a_mesh_that_is_no_solid_is_refused_with_the_reason(open_or_reversed, tmp_path):
+def test_a_mesh_that_is_not_a_solid_is_refused_with_the_reason(open_or_reversed, tmp_path):
     shape = trimesh.creation.box((0.04,) * 3)
     if open_or_reversed == "open":
         shape.update_faces(np.arange(12) > 0)
@@ -173,7 +173,7 @@ def test_a_mesh_that_is_no_solid_is_refused_with_the_reason(open_or_reversed, tm
 
 
 @pytest.mark.parametrize("damage", ["flipped bit", "cut short", "empty", "words"])
-def test_a_damaged_cache_file_is_made_again(tmp_path, damage):
+def test_a_damaged_cache_file_of_hulls_is_replaced(tmp_path, damage):
     part = box_part((0.04, 0.05, 0.06))
     good = convex_hulls(part, tmp_path).hulls
     (file,) = tmp_path.iterdir()
@@ -194,7 +194,7 @@ def test_a_damaged_cache_file_is_made_again(tmp_path, damage):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_a_second_call_reads_the_cache_and_another_mesh_has_its_own_file(tmp_path, monkeypatch):
+def test_hulls_are_read_from_the_cache_and_each_mesh_has_its_own_file(tmp_path, monkeypatch):
     part = box_part((0.04, 0.05, 0.06))
     first = convex_hulls(part, tmp_path)
     convex_hulls(box_part((0.04, 0.05, 0.06 + 1e-10)), tmp_path)
@@ -206,7 +206,7 @@ def test_a_second_call_reads_the_cache_and_another_mesh_has_its_own_file(tmp_pat
     assert figures(again) == figures(first)
 
 
-def test_the_cache_is_in_the_folder_of_xdg(tmp_path, monkeypatch):
+def test_the_cache_of_hulls_is_in_the_xdg_cache_folder(tmp_path, monkeypatch):
     part = box_part((0.04, 0.05, 0.06))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     prepare((part,))
@@ -218,7 +218,7 @@ def test_the_cache_is_in_the_folder_of_xdg(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("home", ["a file", "a folder that may not be made", "none"])
-def test_hulls_are_made_even_if_they_cannot_be_stored(tmp_path, monkeypatch, home):
+def test_hulls_are_computed_even_if_they_cannot_be_stored(tmp_path, monkeypatch, home):
     """A container's user has no home, and this default folder must not cause an error."""
     part = box_part((0.04, 0.05, 0.06))
     good = convex_hulls(part, tmp_path / "hulls").hulls
@@ -234,7 +234,7 @@ def test_hulls_are_made_even_if_they_cannot_be_stored(tmp_path, monkeypatch, hom
 
 
 @pytest.mark.slow
-def test_a_single_part_reports_its_stages(tmp_path):
+def test_decomposing_a_single_part_reports_its_stages(tmp_path):
     part, stages = zoo_part("nut"), []
     (result,) = prepare((part,), hull_folder=tmp_path, progress=Stages(stages.append))
     assert len(result.hulls) > 1
@@ -293,7 +293,7 @@ def test_several_parts_decomposed_by_two_children_give_the_same_hulls(children, 
 
 
 @pytest.mark.slow
-def test_an_error_in_one_part_ends_all_children_and_keeps_finished_hulls(children, tmp_path):
+def test_an_error_in_one_part_ends_all_child_processes_and_keeps_finished_hulls(children, tmp_path):
     parts = [box_part((0.04, 0.05, 0.06)), *map(zoo_part, ("washer", "nut", "hex_bolt"))]
 
     def stop(stage):
@@ -307,7 +307,9 @@ def test_an_error_in_one_part_ends_all_children_and_keeps_finished_hulls(childre
 
 
 @pytest.mark.slow
-def test_a_killed_child_is_an_error_with_name_and_remedy_and_ends_the_others(children, tmp_path):
+def test_a_killed_child_process_causes_an_error_with_a_remedy_and_ends_all_children(
+    children, tmp_path
+):
     with pytest.raises(GraycastError, match=r"cuts tee .* was killed by signal 9.*free memory"):
         prepare(
             [zoo_part("tee"), zoo_part("nut")],
@@ -336,7 +338,7 @@ prepare((part,), hull_folder=Path({folder!r}), progress=meter)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", ["start", "building", "cutting", "joining"])
-def test_a_batch_system_s_stop_takes_effect_at_any_stage(stage, tmp_path):
+def test_a_batch_system_s_stop_signal_ends_decomposition_at_any_stage(stage, tmp_path):
     """It takes at most 2 s, and no process is left behind."""
     mesh = wavy_ring(330_000)
     np.savez(tmp_path / "mesh.npz", v=mesh.vertices_m, f=mesh.faces)
@@ -356,7 +358,7 @@ def test_a_batch_system_s_stop_takes_effect_at_any_stage(stage, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_child_ends_with_a_parent_that_was_killed(tmp_path):
+def test_the_decomposing_child_ends_if_its_parent_is_killed(tmp_path):
     mesh = wavy_ring(80_000)
     np.savez(tmp_path / "mesh.npz", v=mesh.vertices_m, f=mesh.faces)
     program = WAIT.format(mesh=str(tmp_path / "mesh.npz"), folder=str(tmp_path / "cache"))
@@ -387,13 +389,13 @@ def _alive(pid: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ZOO)
-def test_hulls_of_the_zoo_are_within_their_bound(name):
+def test_hulls_of_each_part_in_the_zoo_are_within_their_error_bound(name):
     mesh = zoo_part(name).mesh
     assert measure(mesh, decompose(mesh)).worst_m <= tolerance_m(mesh)
 
 
 @pytest.mark.slow
-def test_a_part_of_half_a_million_faces_keeps_its_bound_and_its_hole():
+def test_hulls_of_a_part_with_half_a_million_faces_keep_bound_and_hole():
     """The bound includes the simplification, since hulls are compared with the original mesh."""
     mesh = wavy_ring(500_000)
     hulls = decompose(mesh)
@@ -417,7 +419,7 @@ def test_a_part_with_too_much_detail_is_decomposed_more_coarsely_with_a_note(mon
 
 
 @pytest.mark.slow
-def test_hulls_that_exceed_their_bound_cause_a_note_with_the_measured_error():
+def test_hulls_beyond_their_error_bound_cause_a_note_with_the_measured_error():
     """A washer as one hull. Oracle: the middle of its hole is 4 mm from the wall.
 
     About nine of the 1000 samples are within 0.5 mm of the hole's axis.
@@ -438,7 +440,7 @@ def test_hulls_that_exceed_their_bound_cause_a_note_with_the_measured_error():
 
 
 @pytest.mark.slow
-def test_the_inside_of_a_spring_stays_open():
+def test_hulls_of_a_spring_leave_its_inside_open():
     """Oracle: the inner radius is 6 mm; wire, facets and the tolerance reduce it by 0.5 mm."""
     hulls = decompose(zoo_part("spring").mesh)
     rng = np.random.default_rng(0)
@@ -448,7 +450,7 @@ def test_the_inside_of_a_spring_stays_open():
 
 
 @pytest.mark.slow
-def test_a_new_process_with_one_thread_makes_the_same_bits(ring_part, ring_hulls, tmp_path):
+def test_a_new_process_with_one_thread_makes_bit_identical_hulls(ring_part, ring_hulls, tmp_path):
     np.savez(tmp_path / "ring.npz", v=ring_part.mesh.vertices_m, f=ring_part.mesh.faces)
     program = (
         "import numpy as np; from pathlib import Path; from graycast.world.drop import prepare;"

@@ -10,7 +10,7 @@ ROD = np.array(trimesh.creation.box((0.02, 0.02, 0.12)).vertices)
 BIN = Bin(inner_m=(0.4, 0.3, 0.2))
 
 
-def test_parts_start_in_separate_cells_between_the_walls_and_above_the_rim():
+def test_falling_parts_start_in_separate_cells_above_the_rim():
     T, kind = start_poses(BIN, (BOX, ROD), (150, 60), np.random.default_rng(1))
     middle = np.array([BOX.mean(axis=0), ROD.mean(axis=0)])[kind]
     center = np.einsum("nij,nj->ni", T[:, :3, :3], middle) + T[:, :3, 3]
@@ -25,7 +25,7 @@ def test_parts_start_in_separate_cells_between_the_walls_and_above_the_rim():
     assert (np.abs(shift) < 4 * center.std(axis=0) * np.sqrt(1 / 150 + 1 / 60)).all()
 
 
-def test_parts_fall_over_a_share_of_the_opening_but_never_over_less_than_a_cell():
+def test_parts_fall_over_the_set_share_of_the_opening_but_over_at_least_one_cell():
     """The same number of parts then needs more layers; the centre is still the bin's."""
     T, _ = start_poses(BIN, (BOX,), (60,), np.random.default_rng(1), opening_share=0.5)
     center = T[:, :3, :3] @ BOX.mean(axis=0) + T[:, :3, 3]
@@ -39,7 +39,7 @@ def test_parts_fall_over_a_share_of_the_opening_but_never_over_less_than_a_cell(
 
 
 @pytest.mark.slow
-def test_orientations_are_uniform():
+def test_starting_orientations_are_uniform():
     """In uniform rotations, each entry has mean 0 and mean square 1/3 (variance 4/45)."""
     T, _ = start_poses(BIN, (BOX,), (4000,), np.random.default_rng(2))
     entry = T[:, :3, :3].reshape(-1, 9)

@@ -63,7 +63,7 @@ def lifted(body, hold, path, starts=None, number=0):
 
 
 @pytest.mark.slow
-def test_the_tool_carries_the_part_s_weight():
+def test_the_tool_carries_the_weight_of_the_lifted_part():
     """At rest, the force is the part's weight; with 3 m/s2 upwards, it is larger by this much."""
     body = plate(0.2)
     for acceleration in (None, 3.0):
@@ -107,7 +107,7 @@ def test_a_cup_off_the_centre_of_mass_loses_the_part_by_tilt(share, holds):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "holds"), [(0.9, True), (1.1, False)])
-def test_jaws_hold_a_part_below_their_friction_and_lose_it_above(share, holds):
+def test_jaws_hold_a_part_up_to_their_friction_limit_and_lose_it_beyond(share, holds):
     jaws = Jaws(opening_m=0.1, force_n=20.0, friction=0.3)
     body = plate(share * 2 * 0.3 * 20.0 / GRAVITY_M_S2)
     T = rigid(np.eye(3), np.zeros(3))  # pads on both ends, through the centre of mass
@@ -120,7 +120,7 @@ def test_jaws_hold_a_part_below_their_friction_and_lose_it_above(share, holds):
 
 
 @pytest.mark.slow
-def test_a_part_under_another_lifts_both_and_the_tool_carries_both():
+def test_lifting_the_lower_of_two_parts_lifts_the_upper_part_too():
     """The upper plate is on the lower one, beside the cup's position."""
     body = plate(0.1)
     starts = np.stack([lying(), lying(x=0.035, z=PLATE_M[2] + 2 * SKIN_M)])
@@ -130,7 +130,7 @@ def test_a_part_under_another_lifts_both_and_the_tool_carries_both():
     assert 10 - end.least_factor == pytest.approx(0.2 * GRAVITY_M_S2, rel=0.1)
 
 
-def test_the_simulation_is_stable_for_light_parts_and_strong_pulls():
+def test_lifting_is_stable_for_light_parts_and_strong_pulls():
     """A light part on a stiff tool is pulled sideways through a fixed wall."""
     body = plate(0.002)
     hold = Hold(
@@ -158,7 +158,7 @@ def test_rotation_vectors_agree_with_scipy_up_to_half_a_turn():
 
 
 @pytest.mark.slow
-def test_the_same_lift_gives_the_same_result_to_the_last_bit():
+def test_repeating_a_lift_gives_the_same_result_to_the_last_bit():
     body = plate(0.1)
     path = upwards(lying() @ on_top())
     first, second = (lifted(body, hold_of(CUP, on_top()), path) for _ in range(2))

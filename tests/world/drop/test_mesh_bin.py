@@ -28,7 +28,7 @@ def at(*xyz_m, turn=None):
     return rigid(np.eye(3) if turn is None else turn, np.array(xyz_m, dtype=float))[None]
 
 
-def test_a_cube_rests_on_triangles_as_on_a_block():
+def test_a_cube_rests_on_a_floor_of_triangles_as_on_a_block():
     turn = axis_rotation("x", 0.1) @ axis_rotation("y", 0.2)
     start = at(0.02, 0.0, 0.15, turn=turn)  # over the floor's diagonal, which is no real edge
     ends = [
@@ -42,7 +42,7 @@ def test_a_cube_rests_on_triangles_as_on_a_block():
         assert end.T_world_part[0, 2, 3] == pytest.approx(0.0202, abs=2e-5)
 
 
-def test_the_overlap_of_a_cube_between_walls_that_are_too_close_is_measured():
+def test_the_overlap_of_a_cube_jammed_between_two_walls_is_measured():
     """A cube of 40 mm is between two walls 36 mm apart, so one of them overlaps by 2 mm or more."""
     narrow = Bin(inner_m=(0.16, 0.036, 0.08))
     narrow = Bin(inner_m=narrow.inner_m, mesh=bin_mesh(narrow))

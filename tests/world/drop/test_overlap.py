@@ -9,7 +9,7 @@ CUBE = np.array(trimesh.creation.box((0.02, 0.02, 0.02)).vertices)
 
 
 @pytest.mark.parametrize("depth_m", [1e-5, 5e-4, 4e-3])
-def test_two_cubes_face_to_face_overlap_by_the_distance_of_their_push(depth_m):
+def test_the_overlap_of_two_cubes_equals_the_distance_of_their_push(depth_m):
     assert overlap_m(CUBE, CUBE + np.array([0.02 - depth_m, 0.001, 0.002])) == pytest.approx(
         depth_m
     )

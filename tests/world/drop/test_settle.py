@@ -17,7 +17,9 @@ LIMITS = DropLimits()
 
 
 @pytest.mark.slow
-def test_each_seed_gives_its_own_layout(scene_of, angle_part, hull_folder):
+def test_one_seed_gives_one_layout_and_another_seed_another_layout(
+    scene_of, angle_part, hull_folder
+):
     scene = scene_of((angle_part,))
     one, again, other = (
         drop(scene, (12,), seed=seed, limits=LIMITS, hull_folder=hull_folder) for seed in (0, 0, 1)
@@ -27,7 +29,7 @@ def test_each_seed_gives_its_own_layout(scene_of, angle_part, hull_folder):
 
 
 @pytest.mark.slow
-def test_a_new_process_with_an_empty_cache_gives_the_same_bits(
+def test_a_new_process_with_an_empty_cache_gives_a_bit_identical_layout(
     scene_of, angle_part, hull_folder, tmp_path
 ):
     here = drop(scene_of((angle_part,)), (12,), seed=5, limits=LIMITS, hull_folder=hull_folder)
@@ -53,7 +55,7 @@ np.save(folder / "there.npy", layout.T_world_part)
 
 
 @pytest.mark.slow
-def test_true_surfaces_in_a_heap_do_not_overlap(scene_of, angle_part, hull_folder):
+def test_the_true_surfaces_of_parts_in_a_heap_do_not_overlap(scene_of, angle_part, hull_folder):
     """Oracle: the angle is two boxes, so depth below its surface has a closed form.
 
     Points of every true mesh are tested in every other part, not in its hulls.
@@ -81,7 +83,9 @@ def test_true_surfaces_in_a_heap_do_not_overlap(scene_of, angle_part, hull_folde
     assert touching >= 30  # some parts touch each other
 
 
-def test_several_kinds_keep_their_numbers_and_an_absent_kind_has_no_effect(scene_of, hull_folder):
+def test_each_kind_of_part_is_dropped_in_its_number_and_an_absent_kind_is_ignored(
+    scene_of, hull_folder
+):
     never_closed = trimesh.Trimesh(*_one_triangle(), process=False)
     from .conftest import as_part
 
@@ -97,7 +101,7 @@ def _one_triangle():
     return np.eye(3) * 0.1, np.array([[0, 1, 2]])
 
 
-def test_flaws_of_a_layout_are_reported_with_their_numbers():
+def test_flaws_of_a_layout_are_reported_with_the_number_of_parts():
     pose = np.eye(4)[None]
     good = dict(T_world_part=pose, part_index=np.zeros(1, int))
     assert flaws(Layout(**good, deepest_penetration_m=0.49e-3), LIMITS) == ()
@@ -111,7 +115,9 @@ def test_flaws_of_a_layout_are_reported_with_their_numbers():
     assert flaws(Layout(**good, deepest_penetration_m=float("nan")), LIMITS)
 
 
-def test_a_drop_is_repeated_with_other_seeds_until_one_is_good(scene_of, hull_folder, monkeypatch):
+def test_a_drop_is_repeated_with_new_seeds_until_a_layout_has_no_flaw(
+    scene_of, hull_folder, monkeypatch
+):
     from graycast.world.drop import settle
 
     starts, real = [], settle.simulate
@@ -139,7 +145,7 @@ def test_a_drop_is_repeated_with_other_seeds_until_one_is_good(scene_of, hull_fo
         (4, dict(deepest_penetration_m=1e-3), "drop.penetration_m, now 0.0005 m", "larger bin"),
     ],
 )
-def test_an_error_names_a_remedy_for_this_case_and_only_existing_keys(
+def test_the_error_for_a_failed_drop_names_a_fitting_remedy_with_existing_keys(
     scene_of, hull_folder, monkeypatch, count, end, message, absent
 ):
     from graycast.world.drop import settle
@@ -179,7 +185,7 @@ def test_a_bin_without_parts_needs_no_simulation(scene_of, hull_folder, monkeypa
         ((0.5, 0.2, 0.02), (1,), None),
     ],
 )
-def test_impossible_drops_are_refused_before_any_fall(
+def test_impossible_drops_are_refused_before_the_simulation(
     scene_of, hull_folder, size_m, counts, message
 ):
     scene = scene_of((box_part(size_m),))

@@ -57,7 +57,7 @@ def test_a_built_in_part_is_one_closed_body_around_the_origin(name):
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_shading_normals_of_a_built_in_part_deviate_no_more_than_its_facets(name):
+def test_shading_normals_of_a_built_in_part_deviate_at_most_by_its_facet_angle(name):
     part = part_of(name)
     normal = part.mesh.corner_normals
     assert np.abs(np.linalg.norm(normal, axis=-1) - 1).max() < 1e-12
@@ -66,7 +66,7 @@ def test_shading_normals_of_a_built_in_part_deviate_no_more_than_its_facets(name
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_a_part_is_the_same_every_time(name):
+def test_a_built_in_part_is_made_equal_every_time(name):
     one, other = builtin_part(name), builtin_part(name)
     assert np.array_equal(one.mesh.vertices_m, other.mesh.vertices_m)
     assert np.array_equal(one.mesh.faces, other.mesh.faces)
@@ -74,12 +74,12 @@ def test_a_part_is_the_same_every_time(name):
         assert np.array_equal(one.material.texture, other.material.texture)
 
 
-def test_the_error_for_an_unknown_part_lists_the_names():
+def test_the_error_for_an_unknown_part_lists_the_known_parts():
     with pytest.raises(ValueError, match=r"'salt'.*yellow_salt_cube.*toothpaste"):
         builtin_part("salt")
 
 
-def test_the_volume_of_the_ring_follows_pappus():
+def test_the_volume_of_the_ring_follows_from_pappus_s_theorem():
     """Oracle: V = 2 pi * (first moment of the profile about the axis), in trapezoids along z.
 
     Each edge adds its z step times the mean of r^2 over it; chords enclose sin(x)/x of a circle.
@@ -118,7 +118,7 @@ def test_every_declared_symmetry_maps_the_part_onto_itself(name):
             assert share_not_shared(part, turn("z", angle_rad)) < 2e-3
 
 
-def test_no_further_symmetry_exists():
+def test_the_metal_workpieces_have_no_undeclared_symmetry():
     """Half turns about the axes and, for the workpieces, quarter turns: none fits undeclared."""
     bracket, ring = part_of("metal_workpiece_1"), part_of("metal_workpiece_2")
     assert len(bracket.symmetry.discrete) == 1 and len(ring.symmetry.continuous) == 1
@@ -132,14 +132,14 @@ def test_no_further_symmetry_exists():
         assert share_not_shared(part, T) > 0.05
 
 
-def test_print_breaks_the_symmetry_of_boxes():
+def test_printed_boxes_have_no_symmetry():
     for name in ("yellow_salt_cube", "toothpaste", "hygiene_spray"):
         assert part_of(name).symmetry.discrete == ()
         assert part_of(name).symmetry.continuous == ()
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_the_stored_pictures_of_labels_are_those_that_the_study_draws(name):
+def test_the_stored_label_pictures_equal_those_that_the_study_draws(name):
     draw, rows = LAYOUTS[name]
     image, places = pack(draw(), rows)
     assert np.array_equal(np.array(Image.open(LABELS / f"{name}.png")), image)
@@ -208,7 +208,7 @@ BOTTLE_AXIS_M = 0.029 - 0.067 / 2  # x of the body's axis: the nozzle shifts the
 
 
 @pytest.mark.slow
-def test_the_bottle_shows_its_name_upright_and_not_mirrored_in_front():
+def test_the_front_of_the_bottle_shows_its_name_upright_and_not_mirrored():
     """The middle of the front is nearly flat, so arc length equals x there."""
     part, panel = part_of("hygiene_spray"), spray_panels()["body"]
     girth_m, height_m = 0.1774, 0.128  # of the superellipse 58 x 46 mm, exponent 3.2; to the neck
@@ -224,7 +224,7 @@ def test_the_bottle_shows_its_name_upright_and_not_mirrored_in_front():
 
 
 @pytest.mark.slow
-def test_the_label_is_wrapped_once_around_the_bottle_with_its_seam_behind():
+def test_the_label_wraps_once_around_the_bottle_with_its_seam_at_the_back():
     """From behind the bottle, the panel's two ends meet in the middle."""
     part, panel = part_of("hygiene_spray"), spray_panels()["body"]
     uv = part.mesh.corner_uv

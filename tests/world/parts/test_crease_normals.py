@@ -23,14 +23,14 @@ def test_facets_steeper_than_the_crease_stay_flat():
     assert np.abs(normal - mesh.face_normals[:, None]).max() < 1e-9
 
 
-def test_a_smoothed_cube_has_normals_along_its_diagonals():
+def test_corner_normals_of_a_smoothed_cube_are_along_its_diagonals():
     """For any triangulation of its sides, each side has the same weight at a corner."""
     mesh = trimesh.creation.box((1, 1, 1))
     normal = crease_normals(mesh.vertices, mesh.faces, np.radians(95))
     assert np.abs(normal - mesh.vertices[mesh.faces] * 2 / np.sqrt(3)).max() < 1e-12
 
 
-def test_normals_of_a_sphere_converge_to_the_radius_at_least_linearly_in_the_edge():
+def test_sphere_normals_converge_at_least_linearly_in_the_edge_length():
     error = []
     for subdivisions in (2, 3, 4):
         mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
@@ -51,7 +51,7 @@ def test_flat_sides_of_a_finely_rounded_box_have_flat_normals():
     assert np.degrees(np.arccos(normal[large][..., 2].min())) < 1.0
 
 
-def test_rotating_the_mesh_rotates_the_normals():
+def test_rotating_a_mesh_rotates_its_crease_normals():
     mesh = trimesh.creation.torus(0.03, 0.01, major_sections=24, minor_sections=12)
     turn = trimesh.transformations.random_rotation_matrix(np.array([0.2, 0.5, 0.7]))[:3, :3]
     straight = crease_normals(mesh.vertices, mesh.faces, 0.6)

@@ -51,7 +51,7 @@ INDICES["steel-oiled"] = INDICES["steel-polished"]
 
 
 @pytest.mark.parametrize("name", INDICES)
-def test_the_colour_of_a_metal_is_its_reflectance_at_normal_incidence(name):
+def test_the_colour_of_a_metal_preset_is_its_reflectance_at_normal_incidence(name):
     """Oracle: |(N - m) / (N + m)|^2 of the complex index N = n + i k, at three wavelengths; m is 1
     in air and 1.47 in oil.
     """
@@ -66,7 +66,7 @@ def test_the_colour_of_a_metal_is_its_reflectance_at_normal_incidence(name):
     assert material.metallic == 1
 
 
-def test_every_metal_with_a_source_is_compared_with_it():
+def test_every_metal_with_a_cited_source_is_in_the_comparison():
     with_source = {
         preset.material.base_color
         for preset in MATERIALS.values()
@@ -86,7 +86,7 @@ REFLECTANCES = {
 
 
 @pytest.mark.parametrize("name", REFLECTANCES)
-def test_the_colour_of_a_material_that_is_no_metal_is_its_measured_reflectance(name):
+def test_the_colour_of_a_nonmetal_preset_is_its_measured_reflectance(name):
     """Symptom: rust could be blue. The colour has three digits; that of rubber is one grey."""
     red, green, blue = MATERIALS[name].material.base_color
     assert MATERIALS[name].material.metallic == 0
@@ -94,7 +94,7 @@ def test_the_colour_of_a_material_that_is_no_metal_is_its_measured_reflectance(n
     assert np.abs(np.array([blue, green, red]) - [measured[:2].mean(), *measured[2:]]).max() < 6e-4
 
 
-def test_every_material_with_a_measured_colour_is_compared_with_it():
+def test_every_nonmetal_with_a_measured_colour_is_in_the_comparison():
     measured = {name for name, preset in MATERIALS.items() if "measured" in preset.source}
     assert measured == set(REFLECTANCES)
 
@@ -103,7 +103,7 @@ def resolved(words, own=None):
     return resolve_material(MaterialSection.model_validate(words), Path(), own=own)
 
 
-def test_a_name_gives_the_material_and_one_key_overrides_one_property():
+def test_a_preset_name_gives_its_material_and_a_key_overrides_one_property():
     brass = MATERIALS["brass"].material
     assert resolved({"preset": "brass"}) == brass
     assert resolved({"preset": "brass", "roughness": 0.4}) == replace(brass, roughness=0.4)
@@ -116,7 +116,7 @@ def test_a_preset_replaces_the_whole_material_of_a_built_in_part():
 
 
 @pytest.mark.parametrize("material", ["brass", {"preset": "brass"}])
-def test_a_file_may_have_a_name_instead_of_a_section(tmp_path, material):
+def test_a_configuration_may_have_a_preset_name_instead_of_a_material_section(tmp_path, material):
     part = {"builtin": "metal_workpiece_1", "material": material}
     content = {"parts": [part], "table": "rubber", "bin": {"material": "paper", "floor": "rust"}}
     path = tmp_path / "cell.yaml"
@@ -141,7 +141,7 @@ def test_a_file_may_have_a_name_instead_of_a_section(tmp_path, material):
         (7, "parts.0.material"),
     ],
 )
-def test_a_wrong_name_is_refused_in_one_line(tmp_path, material, line):
+def test_a_wrong_preset_name_is_refused_in_one_line(tmp_path, material, line):
     path = tmp_path / "cell.yaml"
     part = {"builtin": "toothpaste", "material": material}
     path.write_text(yaml.safe_dump({"parts": [part]}))
@@ -150,7 +150,7 @@ def test_a_wrong_name_is_refused_in_one_line(tmp_path, material, line):
     assert line in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_the_library_exports_the_same_names():
+def test_material_preset_in_python_knows_the_names_of_the_configuration():
     assert material_preset("zinc") is MATERIALS["zinc"]
     with pytest.raises(ValueError, match="did you mean zinc"):
         MaterialSection(preset="zink")
@@ -160,17 +160,17 @@ def test_the_library_exports_the_same_names():
 
 
 @pytest.mark.parametrize("words", [{}, {"metallic": 1.0}, {"grain": Grain(axis=(1.0, 0.0, 0.0))}])
-def test_anisotropy_needs_metal_and_a_grain(words):
+def test_anisotropy_without_metal_or_a_grain_is_refused(words):
     with pytest.raises(ValueError, match=r"needs metal .* and the direction of its grooves"):
         Material(anisotropy=0.5, **words)
 
 
-def test_a_sphere_has_no_grain():
+def test_a_grain_on_a_sphere_is_refused():
     with pytest.raises(ValueError, match="a sphere has no grain"):
         Sphere(center_m=(0.0, 0.0, 0.0), radius_m=1.0, material=MATERIALS["steel-brushed"].material)
 
 
-def test_the_widths_of_grooves_follow_burley():
+def test_roughness_along_and_across_grooves_follows_burley_s_formula():
     """Their product is that of the plain metal, their ratio 1 / (1 - 0.9 anisotropy)."""
     for anisotropy in (0.0, 0.6, 1.0):
         grain = Grain(axis=(1.0, 0.0, 0.0))
@@ -180,7 +180,7 @@ def test_the_widths_of_grooves_follow_burley():
         assert abs(across / along - 1 / (1 - 0.9 * anisotropy)) < 1e-9
 
 
-def test_keys_of_grooves_are_applied():
+def test_groove_keys_of_a_material_are_applied():
     brushed = MATERIALS["steel-brushed"].material
     lathe = Grain(axis=(0.0, 1.0, 0.0), turned=True, point_m=(0.1, 0.0, 0.0))
     turned = {"preset": "steel-brushed", "turned": "y", "turned_about_m": [0.1, 0, 0]}
@@ -207,7 +207,7 @@ def test_grooves_without_an_effect_are_refused(words, line):
         resolved(words)
 
 
-def test_a_scaled_part_keeps_the_axis_of_its_lathe():
+def test_scaling_a_part_scales_the_axis_position_of_its_lathe_grooves():
     part = builtin_part("metal_workpiece_2")
     lathe = Grain(axis=(0.0, 0.0, 1.0), turned=True, point_m=(0.01, 0.0, 0.0))
     metal = replace(MATERIALS["steel-turned"].material, grain=lathe)
@@ -215,7 +215,7 @@ def test_a_scaled_part_keeps_the_axis_of_its_lathe():
     assert part.scaled(2.0).material == part.material
 
 
-def test_ends_of_a_brushed_box_have_their_own_grooves():
+def test_grooves_of_a_brushed_box_are_within_every_face():
     """On every face, the direction is in the face, and along the grain if possible."""
     corner_m = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1.0)])
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
@@ -233,14 +233,14 @@ def test_ends_of_a_brushed_box_have_their_own_grooves():
     )
 
 
-def test_only_metal_keeps_its_grooves_when_its_look_is_varied():
+def test_varying_the_look_keeps_grooves_only_on_metal():
     brushed = MATERIALS["steel-brushed"].material
     less = retouched(brushed, brightness=1.0, roughness=0.0, metallic=-0.5)
     none = retouched(brushed, brightness=1.0, roughness=0.0, metallic=-1.0)
     assert (less.anisotropy, none.anisotropy) == (0.8, 0.0)
 
 
-def test_another_direction_of_grooves_gives_another_part():
+def test_the_direction_of_grooves_changes_the_digest_of_a_part():
     part = replace(builtin_part("toothpaste"), material=MATERIALS["steel-brushed"].material)
     other = replace(part.material, grain=Grain(axis=(0.0, 1.0, 0.0)))
     assert part_digest(part) != part_digest(replace(part, material=other))
@@ -257,7 +257,7 @@ SELLMEIER = {
 
 
 @pytest.mark.parametrize("name", SELLMEIER)
-def test_a_transparent_material_has_the_index_of_its_source(name):
+def test_a_transparent_material_has_the_refractive_index_of_its_source(name):
     """Oracle: Sellmeier's equation at the helium line."""
     line2 = 0.5876**2
     index = np.sqrt(1 + sum(b * line2 / (line2 - c) for b, c in SELLMEIER[name]))
@@ -281,14 +281,14 @@ FINISHES = (
 
 
 @pytest.mark.parametrize("name", FINISHES)
-def test_a_finish_of_metal_names_what_was_measured_of_it(name):
+def test_only_the_finish_of_blasted_aluminium_is_called_measured(name):
     preset = MATERIALS[name]
     assert preset.material.metallic == 1 and "our choice" in preset.surface
     measured = "measured" in preset.surface
     assert measured == (name == "aluminium-blasted")
 
 
-def test_blasted_aluminium_has_the_grain_of_the_scanned_plate():
+def test_blasted_aluminium_has_the_mottle_of_the_scanned_plate():
     """Oracle: the white frame of a real scan, in pixels of 0.28 mm. Their deviation is 0.18 of the
     local mean, the correlation of neighbours 0.18 along and 0.27 across another part of the plate.
 

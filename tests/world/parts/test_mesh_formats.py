@@ -49,7 +49,7 @@ def text_stl(path, *, first=b"solid part", last=b"endsolid part", ends=b"\n"):
         (b"SOLID vertex 1 2 normal", b"End Solid", b"\r"),
     ],
 )
-def test_a_text_stl_is_complete_whatever_the_name_of_its_solid(tmp_path, first, last, ends):
+def test_a_text_stl_is_read_completely_whatever_the_name_of_its_solid(tmp_path, first, last, ends):
     """Symptom: a complete file was called incomplete, or without triangles."""
     path = text_stl(tmp_path / "part.stl", first=first, last=last, ends=ends)
     part, notes = load_part(path, **WORDS)
@@ -58,7 +58,7 @@ def test_a_text_stl_is_complete_whatever_the_name_of_its_solid(tmp_path, first, 
 
 
 @pytest.mark.parametrize("head", [b"", b"solid made by a CAD program", "零件".encode("gbk")])
-def test_bytes_after_a_binary_stl_are_noted_and_not_read(tmp_path, head):
+def test_bytes_after_the_end_of_a_binary_stl_are_noted_and_not_read(tmp_path, head):
     data = bytearray(box().export(file_type="stl"))
     data[: len(head)] = head
     path = tmp_path / "part.stl"
@@ -68,7 +68,7 @@ def test_bytes_after_a_binary_stl_are_noted_and_not_read(tmp_path, head):
     assert notes == ("37 bytes after the last triangle were not read.",)
 
 
-def test_a_truncated_binary_stl_is_refused_with_the_missing_size(tmp_path):
+def test_a_truncated_binary_stl_is_refused_with_its_complete_size(tmp_path):
     (tmp_path / "part.stl").write_bytes(box().export(file_type="stl")[:400])
     with pytest.raises(MeshError, match="counts 12 triangles, which need 684 bytes, and it has 40"):
         load_part(tmp_path / "part.stl", **WORDS)
@@ -84,14 +84,16 @@ def test_a_truncated_binary_stl_is_refused_with_the_missing_size(tmp_path):
         (b"PK\x03\x04" + bytes(200), "ZIP archive or a 3MF file; unpack it"),
     ],
 )
-def test_a_file_that_is_no_mesh_of_its_ending_names_its_content(tmp_path, ending, content, words):
+def test_the_error_for_a_file_with_a_false_mesh_ending_names_its_content(
+    tmp_path, ending, content, words
+):
     path = tmp_path / f"part.{ending}"
     path.write_bytes(content)
     with pytest.raises(MeshError, match=words):
         load_part(path, **WORDS)
 
 
-def test_a_mesh_with_the_ending_of_another_format_names_the_right_one(tmp_path):
+def test_the_error_for_a_mesh_with_a_wrong_ending_names_the_right_ending(tmp_path):
     for kind, ending in (("ply", "stl"), ("glb", "ply"), ("stl_ascii", "obj")):
         box().export(tmp_path / f"part.{ending}", file_type=kind)
         right = kind.removesuffix("_ascii")
@@ -123,7 +125,9 @@ def textured_obj(folder, *, library="part.mtl", picture="red.png", named="red.pn
     ("picture", "named"),
     [("red.png", "red.png"), ("maps/red.png", "maps\\red.png"), ("red.png", "C:\\work\\red.png")],
 )
-def test_new_copies_the_texture_of_a_mesh(tmp_path, monkeypatch, capsys, picture, named):
+def test_the_new_command_copies_the_texture_of_a_mesh(
+    tmp_path, monkeypatch, capsys, picture, named
+):
     """Symptom: it claimed to use the texture, wrote plastic, and copied only the mesh."""
     (tmp_path / "from").mkdir()
     path = textured_obj(tmp_path / "from", picture=picture, named=named)
@@ -139,7 +143,7 @@ def test_new_copies_the_texture_of_a_mesh(tmp_path, monkeypatch, capsys, picture
 
 
 @pytest.mark.slow
-def test_new_replaces_a_texture_only_if_a_surface_is_requested(tmp_path, monkeypatch, capsys):
+def test_the_new_command_replaces_a_texture_by_a_requested_surface(tmp_path, monkeypatch, capsys):
     path = textured_obj(tmp_path)
     monkeypatch.chdir(tmp_path)
     words = ["new", "cell", "--part", path.name, "--unit", "m", "--surface", "steel"]
@@ -149,7 +153,7 @@ def test_new_replaces_a_texture_only_if_a_surface_is_requested(tmp_path, monkeyp
     assert part.material.texture is None and part.material.metallic == 1
 
 
-def test_the_files_of_a_mesh_are_those_that_the_reader_uses_and_no_others(tmp_path):
+def test_the_listed_files_of_a_mesh_are_exactly_those_that_its_reader_uses(tmp_path):
     """A name that leads out of the folder is not followed; a GLB contains its own pictures."""
     (tmp_path / "a").mkdir()
     Image.new("RGB", (4, 4)).save(tmp_path / "red.png")

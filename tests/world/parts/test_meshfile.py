@@ -79,14 +79,14 @@ def test_a_box_is_read_from_every_format(tmp_path, ending, kind):
     ("unit", "size", "metres"),
     [("m", 0.06, 1.0), ("cm", 6, 0.01), ("mm", 60, 0.001), ("inch", 2.5, 0.0254)],
 )
-def test_a_stated_unit_is_used(tmp_path, unit, size, metres):
+def test_a_stated_unit_scales_the_mesh(tmp_path, unit, size, metres):
     box((size, size / 2, size / 3)).export(tmp_path / "block.ply")
     part, findings = load(tmp_path / "block.ply", unit=unit, name="mine")
     assert part.name == "mine" and findings == ()
     assert part.mesh.extent_m.max() == pytest.approx(size * metres, rel=1e-6)
 
 
-def test_the_file_s_own_frame_is_kept(tmp_path):
+def test_a_part_keeps_the_frame_of_its_mesh_file(tmp_path):
     mesh = box()
     mesh.apply_translation([0.01, 0.02, 0.03])
     mesh.export(tmp_path / "block.glb")
@@ -118,7 +118,7 @@ def test_texture_and_uv_are_kept_when_seams_are_welded(tmp_path, ending):
         assert np.abs(turns - face).max(axis=(2, 3)).min() < 1e-6
 
 
-def test_a_texture_is_upright(tmp_path):
+def test_a_texture_from_a_mesh_file_is_upright(tmp_path):
     """Oracle: in the glTF file itself v = 0 is the picture's top; in a `Mesh` v = 1 is."""
     mesh, uv, _ = textured_box()
     mesh.export(tmp_path / "block.glb")
@@ -128,7 +128,7 @@ def test_a_texture_is_upright(tmp_path):
     assert np.abs(part.mesh.corner_uv[..., 1] - uv[0, 1]).min() < 1e-6
 
 
-def test_the_caller_s_material_replaces_the_file_s(tmp_path):
+def test_a_given_material_replaces_the_material_of_a_mesh_file(tmp_path):
     mesh, _, picture = textured_box()
     mesh.export(tmp_path / "block.glb")
     steel = Material(metallic=1.0, base_color=(0.2, 0.2, 0.2))
@@ -139,7 +139,7 @@ def test_the_caller_s_material_replaces_the_file_s(tmp_path):
     assert part.material is own and part.mesh.corner_uv is not None
 
 
-def test_scene_transforms_of_a_glb_are_applied(tmp_path):
+def test_transforms_in_the_scene_of_a_glb_are_applied(tmp_path):
     scene = trimesh.Scene()
     scene.add_geometry(box(), transform=trimesh.transformations.scale_matrix(0.5))
     mirrored = np.diag([-1.0, 1, 1, 1])
@@ -169,7 +169,7 @@ def test_corrections_of_a_mesh_are_reported(tmp_path):
     assert volume(part) == pytest.approx(0.06 * 0.04 * 0.03 - 0.02**3, rel=1e-5)
 
 
-def test_unused_colours_are_reported(tmp_path):
+def test_unused_colours_of_a_mesh_are_reported(tmp_path):
     mesh = box()
     mesh.visual.vertex_colors = [200, 10, 10, 255]
     mesh.export(tmp_path / "red.ply")
@@ -178,7 +178,7 @@ def test_unused_colours_are_reported(tmp_path):
     assert part.material == Material()
 
 
-def test_nothing_is_printed_or_logged(tmp_path, capfd):
+def test_reading_a_mesh_prints_and_logs_nothing(tmp_path, capfd):
     textured_box()[0].export(tmp_path / "block.obj")
     (tmp_path / "material.mtl").unlink()
     with TestCase().assertNoLogs(level="DEBUG"):
@@ -334,7 +334,9 @@ def test_a_bad_mesh_is_refused_in_one_line_with_the_remedy(tmp_path, make, keywo
         (1e-5, "stl", "m", ["0.01 mm", "scale the mesh"]),
     ],
 )  # fmt: skip
-def test_an_impossible_size_is_refused_with_the_unit_that_fits(tmp_path, size, ending, unit, words):
+def test_the_error_for_an_impossible_size_names_the_unit_that_fits(
+    tmp_path, size, ending, unit, words
+):
     path = exported(box((size, size / 2, size / 2)), tmp_path / f"part.{ending}")
     with pytest.raises(MeshError) as refusal:
         load(path, unit=unit)
@@ -342,7 +344,7 @@ def test_an_impossible_size_is_refused_with_the_unit_that_fits(tmp_path, size, e
         assert word in str(refusal.value)
 
 
-def test_too_many_faces_are_refused(tmp_path, monkeypatch):
+def test_a_mesh_with_too_many_faces_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(surface, "MAX_FACES", 11)
     with pytest.raises(MeshError, match=r"12 faces are more than 11; decimate"):
         load(exported(box(), tmp_path / "part.stl"))
@@ -355,13 +357,13 @@ def sparse(path, size):
 
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "glb"])
-def test_a_huge_file_is_refused_before_it_is_read(tmp_path, ending):
+def test_a_huge_mesh_file_is_refused_before_it_is_read(tmp_path, ending):
     """A sparse file of 10 GB, which would fill the memory."""
     with pytest.raises(MeshError, match=r"has 10000 MB, more than the 400 MB.*decimate"):
         load(sparse(tmp_path / f"part.{ending}", 10_000_000_000))
 
 
-def test_a_binary_stl_with_too_many_faces_is_refused_by_its_header(tmp_path, monkeypatch):
+def test_the_header_of_a_binary_stl_suffices_to_refuse_too_many_faces(tmp_path, monkeypatch):
     import trimesh
 
     path = sparse(tmp_path / "part.stl", 84 + 50 * 500_001)
@@ -373,7 +375,7 @@ def test_a_binary_stl_with_too_many_faces_is_refused_by_its_header(tmp_path, mon
         load(path)
 
 
-def test_a_path_that_is_no_regular_file_is_refused_at_once(tmp_path):
+def test_a_path_to_something_other_than_a_regular_file_is_refused_at_once(tmp_path):
     (tmp_path / "folder.stl").mkdir()
     os.mkfifo(tmp_path / "pipe.stl")
     (tmp_path / "zero.stl").symlink_to("/dev/zero")
@@ -402,14 +404,14 @@ def test_overlapping_bodies_are_joined_and_their_common_volume_counts_once(tmp_p
 
 
 @pytest.mark.parametrize("beside", [(0.02, 0, 0), (0.02, 0.02, 0), (0.02,) * 3, (0.03, 0, 0)])
-def test_bodies_that_touch_or_are_apart_are_unchanged(tmp_path, beside):
+def test_touching_and_separate_bodies_are_unchanged(tmp_path, beside):
     """They touch in a face, an edge, a corner, or not at all; file vertices are kept."""
     part, findings = load(cubes(tmp_path, [(0, 0, 0), beside]), unit="m")
     assert volume(part) == pytest.approx(16e-6, rel=1e-6) and len(part.mesh.faces) == 24
     assert findings[-1] == "2 separate bodies are taken as one rigid part."
 
 
-def test_a_body_inside_another_is_not_counted_but_one_in_its_cavity_is(tmp_path):
+def test_only_an_inner_body_within_a_cavity_adds_to_the_volume(tmp_path):
     outer, hole, inner = (trimesh.creation.box((s,) * 3) for s in (0.04, 0.03, 0.02))
     hole.invert()
     nested = trimesh.util.concatenate([outer, inner])
@@ -421,7 +423,7 @@ def test_a_body_inside_another_is_not_counted_but_one_in_its_cavity_is(tmp_path)
     assert findings[-1] == "1 of 3 shells face inwards, taken as cavities."
 
 
-def test_an_inverted_body_next_to_another_is_no_cavity(tmp_path):
+def test_an_inverted_body_beside_another_body_is_not_taken_for_a_cavity(tmp_path):
     large, small = trimesh.creation.box((0.04,) * 3), trimesh.creation.box((0.02,) * 3)
     small.apply_translation((0.05, 0, 0))
     small.invert()
@@ -442,7 +444,7 @@ def test_overlapping_bodies_with_a_texture_are_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_three_thousand_cubes_are_one_part(tmp_path):
+def test_three_thousand_cubes_are_read_as_one_part(tmp_path):
     grid = np.stack(np.meshgrid(*[np.arange(n) for n in (15, 15, 14)]), axis=-1).reshape(-1, 3)
     part, findings = load(cubes(tmp_path, (0.025 * grid)[:3000]), unit="m")
     assert volume(part) == pytest.approx(3000 * 8e-6, rel=1e-6)
@@ -456,7 +458,7 @@ def test_three_thousand_cubes_are_one_part(tmp_path):
         (Material(roughness_map=np.zeros((4, 4), dtype=np.uint8)), "a roughness"),
     ],
 )
-def test_a_picture_on_a_mesh_needs_texture_coordinates(tmp_path, look, instead):
+def test_a_texture_for_a_mesh_without_texture_coordinates_is_refused(tmp_path, look, instead):
     path = exported(box(), tmp_path / "part.stl")
     with pytest.raises(MeshError, match=f"no texture coordinates; unwrap it .* give {instead}"):
         load(path, material=look)
@@ -473,7 +475,7 @@ def test_two_textures_are_refused_unless_a_material_is_given(tmp_path):
     assert len(part.mesh.faces) == 24
 
 
-def test_an_unknown_unit_raises_value_error(tmp_path):
+def test_an_unknown_unit_of_a_mesh_raises_value_error(tmp_path):
     with pytest.raises(ValueError, match="'inches'; choose one of m, cm, mm, inch"):
         load(exported(box(), tmp_path / "part.stl"), unit="inches")
 
@@ -490,7 +492,7 @@ load_mesh(Path({path!r}), unit="m")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.1, 0.3, 1.0, 2.0])
-def test_a_batch_system_s_stop_takes_effect_while_a_large_mesh_is_read(tmp_path, delay_s):
+def test_a_batch_system_s_stop_signal_interrupts_the_reading_of_a_large_mesh(tmp_path, delay_s):
     """Also while the reader itself is imported, which swallows exceptions."""
     mesh = wavy_ring(490_000)
     shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
@@ -551,7 +553,7 @@ def test_a_step_file_is_read_in_its_own_unit(tmp_path, prefix, metres):
         load(tmp_path / "box.step", unit="mm")
 
 
-def test_a_step_file_without_its_reader_names_the_extra(tmp_path, monkeypatch):
+def test_the_error_for_a_step_file_without_its_reader_names_the_extra(tmp_path, monkeypatch):
     (tmp_path / "box.stp").write_text(step_box(6, 4, 3, ".MILLI."))
     monkeypatch.setitem(sys.modules, "cascadio", None)
     with pytest.raises(MeshError, match=r"pip install 'graycast\[cad\]', or export \.obj"):

@@ -11,7 +11,7 @@ def closed(vertices, faces):
     return mesh
 
 
-def test_the_volume_of_a_revolved_profile_follows_pappus():
+def test_the_volume_of_a_revolved_profile_follows_pappus_s_theorem():
     """Oracle: V = 2 pi r_centroid A for a triangle, times the share of a circle in n chords."""
     profile, n = np.array([[2.0, 0.0], [5.0, 1.0], [3.0, 4.0]]), 40
     area = 0.5 * (3 * 4 - 1 * 1)
@@ -20,7 +20,7 @@ def test_the_volume_of_a_revolved_profile_follows_pappus():
     assert mesh.volume == pytest.approx(pappus * np.sin(2 * np.pi / n) / (2 * np.pi / n), rel=1e-12)
 
 
-def test_the_volume_of_a_rounded_box_follows_steiner():
+def test_the_volume_of_a_rounded_box_follows_steiner_s_formula():
     """Oracle: Steiner's formula for a box grown by r, its quarter circles replaced by chords."""
     size, r, steps = (70.0, 60.0, 145.0), 8.0, 3
     a, b, c = (side - 2 * r for side in size)
@@ -33,7 +33,7 @@ def test_the_volume_of_a_rounded_box_follows_steiner():
     assert np.ptp(vertices, axis=0) == pytest.approx(size, rel=1e-12)
 
 
-def test_a_box_with_sharp_edges_has_the_inertia_of_a_box():
+def test_a_box_with_almost_sharp_edges_has_the_inertia_of_a_sharp_box():
     """Oracle: m (b^2 + c^2) / 12; trimesh integrates the mesh."""
     a, b, c = 0.19, 0.038, 0.045
     vertices, faces, _ = rounded_box((a, b, c), 1e-7, steps=1)
@@ -53,7 +53,7 @@ def test_each_panel_of_a_box_faces_its_own_direction():
         assert cosine[mine].min() > 0.4  # up to the middle of a rounded corner
 
 
-def test_a_loft_between_equal_sections_is_a_prism():
+def test_a_loft_between_equal_sections_has_the_volume_of_a_prism():
     """Oracle: the area of |x/a|^4 + |y/b|^4 = 1 is 4 a b gamma(5/4)^2 / gamma(3/2)."""
     from math import gamma
 

@@ -28,7 +28,7 @@ def box(x, y, z):
 @pytest.mark.parametrize(
     ("size", "order"), [((0.06, 0.04, 0.1), 4), ((0.05, 0.05, 0.1), 8), ((0.05, 0.05, 0.05), 24)]
 )
-def test_a_box_has_the_rotations_of_its_group(size, order):
+def test_a_box_is_detected_to_have_the_rotations_of_its_symmetry_group(size, order):
     """Orders of the proper rotation groups D2, D4 and O; the identity is not listed."""
     estimate = shape_symmetry(box(*size))
     assert not estimate.continuous
@@ -49,7 +49,7 @@ MIDDLE, X, Z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
         ([(Z, MIDDLE, 4), (X, MIDDLE, 4)], (0.05, 0.05, 0.05), 24),
     ],
 )
-def test_rotations_generate_the_group_of_the_shape(turns, size, order):
+def test_stated_rotations_generate_the_symmetry_group_of_the_shape(turns, size, order):
     """Orders of C2, C7, D2, D4 and O, and the motions that a search on the shape gives."""
     group = turns_together(turns)
     assert len(group) + 1 == order
@@ -59,12 +59,12 @@ def test_rotations_generate_the_group_of_the_shape(turns, size, order):
 
 
 @pytest.mark.slow
-def test_rotations_about_axes_that_do_not_meet_are_refused():
+def test_symmetry_rotations_about_axes_that_do_not_meet_are_refused():
     with pytest.raises(ValueError, match="check that their axes meet in one point"):
         turns_together([(Z, MIDDLE, 2), (X, (0.0, 0.0, 0.1), 2), (Z, (0.1, 0.0, 0.0), 3)])
 
 
-def test_the_ring_has_rotations_about_its_axis_but_not_upside_down():
+def test_the_ring_is_symmetric_about_its_axis_but_not_upside_down():
     estimate = shape_symmetry(builtin_part("metal_workpiece_2").mesh)
     assert estimate.continuous[0][0] == (0.0, 0.0, 1.0)
     assert not estimate.discrete
@@ -78,7 +78,7 @@ def test_the_bracket_has_its_stated_half_turn():
     assert len(joined(part.symmetry, estimate).discrete) == 1
 
 
-def test_a_rim_moves_by_less_than_a_hundredth_of_the_diameter_between_rotations():
+def test_sampled_rotations_move_a_rim_by_less_than_a_hundredth_of_its_diameter():
     """BOP's rule: the longest chord of the body to its next rotation."""
     turns = motions(Symmetry(continuous=(((0.0, 0.0, 2.0), (0.1, 0.2, 0.0)),)))
     rim = np.array([0.1 + 0.5, 0.2, 0.3, 1.0])  # diameter 1 about an axis away from the origin
@@ -89,20 +89,20 @@ def test_a_rim_moves_by_less_than_a_hundredth_of_the_diameter_between_rotations(
     np.testing.assert_allclose(np.linalg.norm(place[:, :2] - [0.1, 0.2], axis=1), 0.5)
 
 
-def test_discrete_and_continuous_motions_are_combined():
+def test_discrete_and_continuous_symmetries_are_combined():
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     both = Symmetry(discrete=(flip,), continuous=(((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),))
     assert len(motions(both)) == 2 * 315
     np.testing.assert_array_equal(motions(both)[0], np.eye(4))
 
 
-def test_there_are_24_rotations_of_the_axes():
+def test_axis_aligned_rotations_number_24():
     turns = axis_rotations()
     assert len({tuple(R.ravel()) for R in turns}) == 24
     np.testing.assert_allclose(np.linalg.det(turns), 1)
 
 
-def test_surface_points_lie_on_the_surface_a_step_apart():
+def test_surface_points_are_on_the_surface_and_one_step_apart():
     """On a box: each point is on its face's plane, and no two are closer than the step."""
     point, normal = surface_points(box(0.06, 0.04, 0.1), 0.008, most=5000)
     np.testing.assert_allclose((np.abs(point) * np.abs(normal)).sum(axis=1),
@@ -128,7 +128,7 @@ def angle(R):
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
 @pytest.mark.parametrize("referred", [False, True])
-def test_all_poses_that_look_the_same_have_one_representative(symmetry, referred):
+def test_poses_that_look_the_same_have_one_representative(symmetry, referred):
     """Oracle: the motions of the symmetry one by one; with a reference, their least angle, too."""
     rng = np.random.default_rng(3)
     for _ in range(5):
@@ -150,7 +150,7 @@ def test_all_poses_that_look_the_same_have_one_representative(symmetry, referred
 
 @pytest.mark.parametrize("symmetry", [Symmetry(discrete=(s,)) for s in HALF_TURNS])
 @pytest.mark.parametrize("side", [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
-def test_noise_does_not_change_the_representative_of_a_part_on_any_side(symmetry, side):
+def test_noise_in_the_pose_of_a_lying_part_does_not_change_its_representative(symmetry, side):
     """On each side of a box at a random angle, a tilt by a degree moves it by a degree."""
     rng = np.random.default_rng(5)
     lying = Rotation.from_euler("z", rng.uniform(10, 80), degrees=True).as_matrix() @ np.diag(side)

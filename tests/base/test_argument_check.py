@@ -64,7 +64,7 @@ def doors():
             yield value, value
 
 
-def test_an_argument_of_a_wrong_type_is_named_with_its_value(unchecked):
+def test_the_error_for_an_argument_of_a_wrong_type_shows_its_value(unchecked):
     count = 0
     for door, source in doors():
         hints = typing.get_type_hints(source)
@@ -100,7 +100,7 @@ def test_an_argument_of_a_wrong_type_is_named_with_its_value(unchecked):
         (lambda: gc.preset(["x" * 100]), "preset: name is ['" + "x" * 55 + "... (type list)"),
     ],
 )  # fmt: skip
-def test_the_error_for_a_wrong_argument_has_its_remedy(unchecked, call, words):
+def test_the_error_for_a_wrong_argument_names_a_remedy(unchecked, call, words):
     with pytest.raises(ValueError) as error:
         call()
     assert words in str(error.value)
@@ -108,7 +108,7 @@ def test_the_error_for_a_wrong_argument_has_its_remedy(unchecked, call, words):
 
 @pytest.mark.parametrize("engine", ["local", "ray"])
 @pytest.mark.parametrize("count", [-3, 0, 1])
-def test_the_number_of_workers_is_at_least_one_and_0_only_on_a_cluster(engine, count):
+def test_the_number_of_workers_is_at_least_one_except_on_a_cluster(engine, count):
     """-3 workers waited for ever, and 0 caused a division by zero."""
     if count < (engine == "local"):
         with pytest.raises(ValueError, match=f"count is {count}: give "):
@@ -117,7 +117,7 @@ def test_the_number_of_workers_is_at_least_one_and_0_only_on_a_cluster(engine, c
         assert gc.Workers(engine=engine, count=count).count == count
 
 
-def test_numbers_of_other_libraries_and_lists_instead_of_tuples_are_accepted():
+def test_numbers_from_other_libraries_and_lists_for_tuples_are_accepted():
     @dataclass(frozen=True)
     class Values:
         pair: tuple[float, float]
@@ -135,19 +135,19 @@ def test_numbers_of_other_libraries_and_lists_instead_of_tuples_are_accepted():
             Values(*values)
 
 
-def test_a_missing_argument_is_python_s_own_error_and_an_unknown_one_names_the_nearest(unchecked):
+def test_the_error_for_an_unknown_argument_names_the_nearest_known_argument(unchecked):
     with pytest.raises(TypeError, match=r"scenes\(\) missing"):
         gc.scenes()
     with pytest.raises(gc.GraycastError, match=r"^scenes: unknown argument sed: did you mean seed"):
         gc.scenes(None, 1, sed=1)
 
 
-def test_a_public_function_can_be_pickled_and_is_the_same_object_afterwards():
+def test_unpickling_a_public_function_gives_the_same_object():
     assert gc.take is gc.take and pickle.loads(pickle.dumps(gc.take)) is gc.take
     assert inspect.signature(gc.take) == inspect.signature(inspect.unwrap(gc.take))
     assert checked(inspect.unwrap(gc.take)).__doc__ == gc.take.__doc__
 
 
-def test_remedies_name_public_functions_only():
+def test_remedies_in_errors_name_only_public_functions():
     for text in argument_check._MAKERS.values():
         assert set(re.findall(r"graycast\.(\w+)", text)) <= set(dir(gc))  # does not load PyTorch

@@ -65,7 +65,7 @@ def test_a_changed_constant_of_any_imported_file_changes_the_digest_of_a_kernel(
     assert (sources_digest("graycast.toy.shape") == before) is same
 
 
-def test_no_kernel_is_stored_if_a_source_has_changed_since_the_process_began(package, monkeypatch):
+def test_no_kernel_is_stored_if_its_source_changed_after_the_process_started(package, monkeypatch):
     """The process still has the old code, which must not be stored under the new text's digest."""
     began_ns = max(os.stat(file).st_ctime_ns for file in package.values())
     monkeypatch.setattr(kernels, "_START_NS", began_ns)
@@ -93,7 +93,7 @@ def imports_of_syntax(module: str) -> set[str]:
 
 
 @pytest.mark.slow
-def test_the_imports_that_a_digest_uses_are_those_that_python_parses():
+def test_a_digest_covers_every_import_that_python_s_parser_reads():
     """Oracle: Python's own parser."""
     assert len(WITH_KERNELS) > 25
     sources = {name for module in WITH_KERNELS for name in all_imported_modules(module)}
@@ -139,7 +139,7 @@ def test_a_kernel_is_loaded_from_the_folder_of_its_digest(monkeypatch, tmp_path)
 
 @pytest.mark.parametrize("pattern", ["*.nbc", "*.nbi"])
 @pytest.mark.parametrize("content", [b"", b"no pickle", None])
-def test_a_damaged_file_of_a_kernel_is_compiled_again(monkeypatch, tmp_path, pattern, content):
+def test_a_kernel_with_a_damaged_file_is_compiled_again(monkeypatch, tmp_path, pattern, content):
     Opened(monkeypatch, tmp_path)(3)
     (file,) = files(tmp_path, pattern)
     file.write_bytes(file.read_bytes()[:40] if content is None else content)
@@ -147,9 +147,7 @@ def test_a_damaged_file_of_a_kernel_is_compiled_again(monkeypatch, tmp_path, pat
     assert Opened(monkeypatch, tmp_path)(3) == (6, 1)
 
 
-def test_two_processes_that_store_at_once_never_use_one_file_for_two_signatures(
-    monkeypatch, tmp_path
-):
+def test_processes_that_store_kernels_at_once_keep_one_file_per_signature(monkeypatch, tmp_path):
     """Both processes read the empty index; each signature then finds its own code or none."""
     first, second = Opened(monkeypatch, tmp_path), Opened(monkeypatch, tmp_path)
     for opened in (first, second):
@@ -161,7 +159,7 @@ def test_two_processes_that_store_at_once_never_use_one_file_for_two_signatures(
         assert result == 2 * x and type(result) is type(x) and hits <= 1
 
 
-def test_only_the_most_recent_versions_of_kernels_are_kept(monkeypatch, tmp_path):
+def test_only_the_most_recent_kernel_versions_are_kept(monkeypatch, tmp_path):
     folders = [tmp_path / f"{__name__}-{number:016x}" for number in range(MOST_VERSIONS + 3)]
     others = [tmp_path / f"{__name__}s-{0:016x}", tmp_path / "mine"]
     for age, folder in enumerate(folders + others):
@@ -195,7 +193,7 @@ def test_a_deleted_cache_folder_or_a_full_disk_does_not_stop_a_run(monkeypatch, 
     assert opened(3) == (6, 0)
 
 
-def test_the_kernel_cache_is_in_the_folder_of_numba_or_else_of_xdg(monkeypatch, tmp_path):
+def test_the_kernel_cache_is_in_numba_s_folder_or_else_in_the_xdg_folder(monkeypatch, tmp_path):
     monkeypatch.setattr(kernels.numba.config, "CACHE_DIR", str(tmp_path / "numba"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     assert kernel_folder() == tmp_path / "numba"

@@ -56,7 +56,7 @@ def test_json_is_read_as_the_standard_library_reads_it():
     assert parse_json(b"\xef\xbb\xbf[1]") == [1]  # some editors write a byte-order mark
 
 
-def test_json_that_is_nested_too_deeply_is_a_value_error():
+def test_json_that_is_nested_too_deeply_raises_a_value_error():
     for text in ("[" * 200_000, '{"a":' * 200_000, "[" * 500 + "]" * 500):
         with pytest.raises(ValueError, match=r"^nested too deeply at line 1"):
             parse_json(text)
@@ -158,7 +158,7 @@ def encoded(kind):
 @pytest.mark.parametrize(
     "kind", ["png", "jpeg", "bmp", "tiff", "big tiff", "float tiff", "exr", "hdr"]
 )
-def test_a_picture_is_refused_by_the_size_that_its_header_states(kind, tmp_path):
+def test_a_picture_is_refused_if_its_header_states_too_large_a_size(kind, tmp_path):
     whole, (before, after) = encoded(kind)
     refuse_large_picture(whole, "small", ValueError)
     assert before in whole
@@ -168,7 +168,7 @@ def test_a_picture_is_refused_by_the_size_that_its_header_states(kind, tmp_path)
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "png", "tiff"])
-def test_a_damaged_note_of_the_orientation_is_left_to_the_decoder(kind):
+def test_a_picture_with_a_damaged_orientation_tag_is_not_refused(kind):
     """A whole picture that is stored turned is refused; if its note is cut, nothing is said."""
     data, exif = io.BytesIO(), Image.Exif()
     exif[0x0112] = 6
@@ -181,7 +181,7 @@ def test_a_damaged_note_of_the_orientation_is_left_to_the_decoder(kind):
         refuse_turned(cut, "x", ValueError)
 
 
-def test_the_limit_of_a_picture_is_its_number_of_pixels_not_its_width():
+def test_the_size_limit_of_a_picture_counts_pixels_and_not_its_width():
     head = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
     refuse_large_picture(head + struct.pack(">2I", 100_000, 1000), "x", ValueError)
     with pytest.raises(ValueError, match="100000 x 1001 pixels"):
@@ -257,7 +257,7 @@ def test_a_calibration_that_unpacks_to_gigabytes_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("counts", [[10**10], [10**10 - 1, 1]])
-def test_run_lengths_of_a_huge_picture_are_refused(counts):
+def test_a_run_length_mask_of_a_huge_picture_is_refused(counts):
     """The run lengths fill their picture, so that only its size is wrong."""
     with pytest.raises(GraycastError, match="entry 0: has 100000 x 100000 pixels"):
         check_runs({"size": [10**5, 10**5], "counts": counts}, "entry 0", GraycastError)

@@ -30,7 +30,7 @@ def names(folder):
 
 
 @pytest.mark.parametrize("make", [new_folder, whole_folder])
-def test_the_next_run_deletes_what_a_killed_run_left(tmp_path, make):
+def test_a_run_deletes_the_files_that_a_killed_run_left_behind(tmp_path, make):
     out = tmp_path / "a[b]*"  # the name contains characters of a glob pattern
     run = [sys.executable, "-c", KILLED, make.__name__, str(out)]
     assert subprocess.run(run).returncode == -9
@@ -50,7 +50,7 @@ def test_the_folder_of_another_active_run_is_not_deleted(tmp_path, make):
     assert names(tmp_path) == ["out", "out/a"]
 
 
-def test_of_two_runs_the_first_to_finish_writes_the_folder(tmp_path):
+def test_the_first_of_two_runs_to_finish_writes_the_folder(tmp_path):
     with pytest.raises(GraycastError, match="out: cannot be written"):
         with new_folder(tmp_path / "out") as slow:
             (slow / "slow").write_text("slow")
@@ -74,7 +74,7 @@ with claimed_folder(Path(sys.argv[1]), "inside", ".lock"):
 
 
 @pytest.mark.parametrize("file", ["table.md", "inside/claim.json", "inside/setting/000.json"])
-def test_a_run_that_claims_a_folder_deletes_half_written_files_of_a_killed_run(tmp_path, file):
+def test_claiming_a_folder_deletes_half_written_files_of_a_killed_run(tmp_path, file):
     out = tmp_path / "out"
     run = [sys.executable, "-c", KILLED_WRITING, str(out), str(out / file)]
     assert subprocess.run(run).returncode == -9
@@ -90,7 +90,7 @@ def test_a_run_that_claims_a_folder_deletes_half_written_files_of_a_killed_run(t
         assert {*names(out)} == before
 
 
-def test_a_file_is_unchanged_if_its_replacement_fails(tmp_path, monkeypatch):
+def test_a_file_keeps_its_content_if_its_replacement_fails(tmp_path, monkeypatch):
     file = tmp_path / "figures.json"
     write_whole(file, b"old")
     write_whole(file, b"new")
@@ -108,7 +108,7 @@ def refuse(*paths):
     raise OSError("no room")
 
 
-def test_a_file_or_folder_written_elsewhere_first_appears_complete_or_not_at_all(tmp_path):
+def test_a_replaced_file_or_folder_appears_complete_or_not_at_all(tmp_path):
     """A file replaces an earlier file; a folder replaces an empty folder only."""
     with beside(tmp_path / "scene") as folder:
         folder.mkdir()
@@ -127,7 +127,7 @@ def test_a_file_or_folder_written_elsewhere_first_appears_complete_or_not_at_all
     assert names(tmp_path) == ["scene", "scene/a"]
 
 
-def test_a_folder_inside_another_replaces_an_earlier_one(tmp_path):
+def test_a_written_subfolder_replaces_an_earlier_subfolder(tmp_path):
     """The earlier folder stays until the new one is complete, and then disappears completely."""
     for picture in ("old", "new"):
         with whole_folder(tmp_path / "out") as folder:

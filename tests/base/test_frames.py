@@ -27,13 +27,13 @@ def random_rigid(n, seed):
     return np.stack([rigid(R, t) for R, t in zip(rotation, rng.normal(size=(n, 3)), strict=True)])
 
 
-def test_the_inverse_of_each_of_many_transforms_undoes_it():
+def test_the_inverse_of_each_transform_in_an_array_undoes_the_transform():
     T = random_rigid(20, seed=0)
     assert np.abs(inverse(T) @ T - np.eye(4)).max() < 1e-14
     assert np.abs(inverse(T) - np.linalg.inv(T)).max() < 1e-14
 
 
-def test_equal_neighbouring_frames_cancel_in_a_product():
+def test_a_product_of_transforms_applies_them_one_after_the_other():
     """`T_a_b @ T_b_c` moves points as the two transforms do one after the other."""
     T_a_b, T_b_c = random_rigid(2, seed=1)
     point_c = np.random.default_rng(2).normal(size=(7, 3))
@@ -47,7 +47,7 @@ def test_a_transform_rotates_a_point_before_it_translates_it():
 
 
 @pytest.mark.parametrize("axis", "xyz")
-def test_axis_rotations_agree_with_scipy(axis):
+def test_rotations_about_an_axis_agree_with_scipy(axis):
     assert np.allclose(axis_rotation(axis, 0.7), Rotation.from_euler(axis, 0.7).as_matrix())
 
 
@@ -81,18 +81,18 @@ def test_random_rotations_are_uniform():
 
 
 @pytest.mark.parametrize("pitch", [math.pi, math.pi / 2])
-def test_uniform_euler_angles_would_fail_the_uniformity_check(pitch):
+def test_the_uniformity_check_rejects_uniform_euler_angles(pitch):
     half = np.array([math.pi, pitch, math.pi])
     angles = np.random.default_rng(5).uniform(-half, half, size=(SAMPLES, 3))
     assert worst_moment_in_standard_errors(Rotation.from_euler("zyx", angles).as_matrix()) > 20
 
 
-def test_quaternions_from_a_cube_would_fail_the_uniformity_check():
+def test_the_uniformity_check_rejects_quaternions_from_a_cube():
     q = np.random.default_rng(6).uniform(-1, 1, size=(SAMPLES, 4))
     assert worst_moment_in_standard_errors(rotation_from_quaternion(q)) > 5
 
 
-def test_a_reflection_or_a_scaling_is_not_rigid():
+def test_a_reflection_or_a_scaling_is_not_a_rigid_transform():
     assert is_rigid(random_rigid(1, seed=7)[0])
     assert not is_rigid(np.diag([1.0, 1, -1, 1]))
     assert not is_rigid(np.diag([1.001, 1, 1, 1]))
@@ -100,7 +100,7 @@ def test_a_reflection_or_a_scaling_is_not_rigid():
     assert not is_rigid(np.full((4, 4), np.nan))
 
 
-def test_a_camera_looks_at_its_target_with_y_down():
+def test_the_pose_of_a_camera_aims_at_its_target_with_the_y_axis_down():
     eye, target = np.array([0.3, -0.4, 1.2]), np.array([0.1, 0.2, 0.0])
     T_world_cam = look_at(eye, target, np.array([0.0, 0.0, -1.0]))
     assert is_rigid(T_world_cam)

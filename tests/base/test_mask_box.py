@@ -15,5 +15,5 @@ def test_bounding_boxes_agree_with_pycocotools():
         assert mask_box(mask) == tuple(box.astype(int))
 
 
-def test_an_empty_mask_has_no_box():
+def test_an_empty_mask_has_no_bounding_box():
     assert mask_box(np.zeros((5, 4), dtype=bool)) == (0, 0, 0, 0)

@@ -20,7 +20,7 @@ class Broken(Figure):
 
 
 @pytest.mark.slow
-def test_a_figure_is_written_at_its_resolution_and_has_the_same_bytes_each_time(tmp_path):
+def test_a_figure_is_written_at_its_resolution_with_reproducible_bytes(tmp_path):
     for name in ("a.png", "b.png"):
         save_png(plain_figure(2.0, 1.0, (1, 2))[0], tmp_path / name, dpi=50)
     with Image.open(tmp_path / "a.png") as image:
@@ -29,7 +29,7 @@ def test_a_figure_is_written_at_its_resolution_and_has_the_same_bytes_each_time(
     assert {path.name for path in tmp_path.iterdir()} == {"a.png", "b.png"}
 
 
-def test_a_picture_that_cannot_be_written_leaves_the_old_one_and_no_other_file(tmp_path):
+def test_a_failed_write_of_a_figure_keeps_the_old_file_and_leaves_no_other(tmp_path):
     path = tmp_path / "plot.png"
     path.write_bytes(b"old")
     with pytest.raises(GraycastError, match=r"plot\.png: cannot be written \(No space left"):
@@ -38,19 +38,19 @@ def test_a_picture_that_cannot_be_written_leaves_the_old_one_and_no_other_file(t
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_missing_folder_is_named(tmp_path):
+def test_the_error_for_a_missing_figure_folder_names_the_folder(tmp_path):
     with pytest.raises(GraycastError, match=r"nowhere.*give a path in an existing folder"):
         save_png(Figure(), tmp_path / "nowhere" / "plot.png", dpi=50)
 
 
-def test_columns_of_a_figure_have_the_requested_width_ratios():
+def test_the_columns_of_a_figure_have_the_requested_width_ratios():
     """Oracle: in a plain layout, axes of width ratio 1 to 3 have this ratio of widths."""
     figure, (left, right) = plain_figure(8.0, 2.0, (1, 3))
     figure.set_layout_engine("none")
     assert right.get_position().width == pytest.approx(3 * left.get_position().width)
 
 
-def test_a_legend_below_is_outside_the_axes_and_under_their_label():
+def test_a_legend_below_the_axes_overlaps_neither_axes_nor_label():
     figure, (ax,) = plain_figure(4.0, 3.0, (1,))
     for name in ("one", "two", "three"):
         ax.plot([0, 1], [0, 1], label=name)
@@ -76,7 +76,7 @@ def test_labels_of_close_points_do_not_overlap_and_the_first_points_are_labelled
     assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
 
 
-def test_a_point_that_is_not_a_number_has_no_label():
+def test_a_point_at_nan_gets_no_label():
     _, (ax,) = plain_figure(5.0, 4.0, (1,))
     write_names(ax, ["there", "nowhere"], np.array([[0.5, 0.5], [np.nan, 0.5]]), ["black"] * 2)
     assert [text.get_text() for text in ax.texts] == ["there"]

@@ -52,7 +52,7 @@ def test_a_progress_line_is_shown_in_a_terminal_and_removed_at_the_end(stream, m
     assert max(map(len, text.split("\r"))) <= MOST_COLUMNS
 
 
-def test_pipes_and_callers_with_a_meter_get_no_progress_line(monkeypatch):
+def test_no_progress_line_is_shown_in_a_pipe_or_to_a_caller_with_a_meter(monkeypatch):
     pipe, heard = io.StringIO(), []
     monkeypatch.setattr(sys, "stderr", pipe)
     checked(work)()
@@ -62,7 +62,7 @@ def test_pipes_and_callers_with_a_meter_get_no_progress_line(monkeypatch):
     assert pipe.getvalue() == terminal.getvalue() == "" and len(heard) == 2
 
 
-def test_a_print_inside_a_loop_starts_on_an_empty_line(monkeypatch):
+def test_text_printed_inside_a_loop_starts_on_an_empty_line(monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     for k in checked(each)(3):
         assert f"graycast: scene {k} ..." in terminal.getvalue()
@@ -71,7 +71,7 @@ def test_a_print_inside_a_loop_starts_on_an_empty_line(monkeypatch):
     assert last_row(terminal.getvalue()) == ""
 
 
-def test_a_loop_that_is_left_early_closes_its_iterator(monkeypatch):
+def test_breaking_out_of_a_loop_closes_its_iterator(monkeypatch):
     closed = []
 
     def scenes(*, progress: ProgressMeter = UNWATCHED):
@@ -88,7 +88,7 @@ def test_a_loop_that_is_left_early_closes_its_iterator(monkeypatch):
     assert closed == [True]
 
 
-def test_a_note_stays_above_the_progress_line():
+def test_a_note_remains_above_the_progress_line():
     terminal = Terminal()
     line = StatusLine(terminal)
     line.stage("falling")

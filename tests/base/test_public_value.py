@@ -76,7 +76,7 @@ def own_text(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_the_text_of_a_public_value_is_one_line(kind):
+def test_the_repr_of_a_public_value_is_one_line(kind):
     if own_text(kind):
         assert kind.__name__ in ("SceneResult", "Shot")
         return
@@ -86,12 +86,12 @@ def test_the_text_of_a_public_value_is_one_line(kind):
     assert is_dataclass(kind) or str(monster(kind)) == text
 
 
-def test_public_values_are_of_many_kinds():
+def test_the_tests_cover_more_than_sixty_kinds_of_public_values():
     assert len(KINDS) > 60
     assert {gc.Config, gc.Cell, gc.Example, gc.DepthMap, gc.MaterialSection, gc.Scene} <= set(KINDS)
 
 
-def test_the_text_of_a_value_omits_defaults_and_can_be_evaluated_if_it_is_short():
+def test_the_repr_of_a_value_omits_defaults_and_can_be_evaluated_if_short():
     for value in (
         gc.SensorSpec(read_noise_e=9.5, bit_depth=8),
         gc.MaterialSection(roughness=0.4, base_color=(0.1, 0.2, 0.3)),
@@ -104,12 +104,12 @@ def test_the_text_of_a_value_omits_defaults_and_can_be_evaluated_if_it_is_short(
     assert repr(gc.SensorSpec(bit_depth=8)) == "SensorSpec(bit_depth=8)"
 
 
-def test_the_text_of_an_array_is_its_type_and_its_shape():
+def test_the_repr_of_an_array_states_its_type_and_its_shape():
     example = gc.Example(scene_id=3, depth_m=np.zeros((386, 516), np.float32))
     assert repr(example) == "Example(scene_id=3, depth_m=float32[386, 516])"
 
 
-def test_a_value_too_long_for_a_line_is_shown_with_the_names_of_its_fields():
+def test_the_repr_of_a_long_value_lists_the_names_of_its_fields():
     """The cell of README has hundreds of numbers; its text names its fields."""
     scanner = gc.preset("like-phoxi-m", "small")
     text = repr(scanner)
@@ -117,7 +117,7 @@ def test_a_value_too_long_for_a_line_is_shown_with_the_names_of_its_fields():
     assert re.findall(r"(\w+)=", text)[:2] == ["rig", "code"] and "Rig(" in text
 
 
-def test_a_misspelt_keyword_of_a_value_is_named_with_the_most_similar_one():
+def test_the_error_for_a_misspelt_keyword_names_the_most_similar_keyword():
     with pytest.raises(
         gc.GraycastError, match=r"^SensorSpec: unknown argument read_nois_e: did you"
     ):
@@ -126,7 +126,7 @@ def test_a_misspelt_keyword_of_a_value_is_named_with_the_most_similar_one():
         gc.Code(frames=())
 
 
-def test_the_help_of_a_value_has_a_line_for_each_field_with_its_unit():
+def test_the_help_for_a_value_has_a_line_for_each_field_with_its_unit():
     text = pydoc.plain(pydoc.render_doc(gc.SensorSpec))
     assert "FieldInfo(annotation" not in text
     for field in fields(gc.SensorSpec):
@@ -137,7 +137,7 @@ def test_the_help_of_a_value_has_a_line_for_each_field_with_its_unit():
     assert max(map(len, text.splitlines())) < 700
 
 
-def test_the_help_of_a_value_describes_arrays_in_words():
+def test_the_help_for_a_value_describes_arrays_in_words():
     hints = hints_of(gc.Example)
     assert type_text(hints["rgb"]) == "array of uint8 [h, w, 3] or None"
     assert type_text(hints["K"]) == "array of floats [3, 3] or None"
@@ -151,7 +151,7 @@ SECTIONS = sorted(
 
 
 @pytest.mark.parametrize("name", SECTIONS)
-def test_the_help_of_a_section_has_its_keys_and_nothing_of_pydantic(name):
+def test_the_help_for_a_section_lists_its_keys_and_nothing_from_pydantic(name):
     section = getattr(gc, name)
     text = pydoc.plain(pydoc.render_doc(section))
     assert len(text.splitlines()) < 60
@@ -162,7 +162,7 @@ def test_the_help_of_a_section_has_its_keys_and_nothing_of_pydantic(name):
         assert line.rstrip().endswith(info.description or ".")
 
 
-def test_the_help_of_a_section_states_unit_and_default():
+def test_the_help_for_a_section_states_unit_and_default():
     text = pydoc.plain(pydoc.render_doc(gc.BinSection))
     assert "wall_m [m] (float = 0.012): The thickness of the walls in metres." in text
     config = pydoc.plain(pydoc.render_doc(gc.Config))

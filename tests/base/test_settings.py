@@ -71,12 +71,12 @@ class Lens:
         ({"zones_m": (1.0, 0.0)}, r"^zones_m is \(1.0, 0.0\): it should be greater than 0$"),
     ],
 )
-def test_a_value_is_refused_by_the_annotation_of_its_field(change, message):
+def test_a_value_that_violates_its_field_s_annotation_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         replace(Lens(width_px=4), **change)
 
 
-def test_a_section_of_a_file_has_the_limits_and_the_defaults_of_the_value():
+def test_a_section_of_a_file_has_the_limits_and_defaults_of_its_class():
     section = section_of(
         Lens, "Lens", module=__name__, about="A lens.", base=Settings, more={"name": None}
     )
@@ -91,7 +91,7 @@ def test_a_section_of_a_file_has_the_limits_and_the_defaults_of_the_value():
     assert section.model_json_schema()["properties"]["width_px"]["description"] == "Image width."
 
 
-def test_a_section_of_changes_has_no_required_key():
+def test_a_section_that_changes_a_value_has_no_required_key():
     section = changes_of(Lens, "Lens", module=__name__, about="What differs of a lens.")
     assert set(section().model_dump().values()) == {None}
     assert section(pupil_m=0.5).model_dump(exclude_none=True) == {"pupil_m": 0.5}
@@ -122,7 +122,7 @@ def test_settings_read_from_a_file_can_be_pickled():
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_values_that_a_file_may_not_have_are_refused_in_python_too(name):
+def test_values_beyond_the_limits_of_a_file_are_refused_even_in_python(name):
     """This includes the fields that had other limits in files: pixel_pitch_m, wavelength_m."""
     spec, limits = SPECS[name](), 0
     properties = type(getattr(ScannerSections(), name)).model_json_schema()["properties"]
@@ -160,7 +160,7 @@ def laughs(levels, line):
     ],
     ids=["lists", "mappings", "merges", "a long text", "a list in itself", "a mapping in itself"],
 )
-def test_aliases_that_would_fill_the_memory_are_refused_at_once(tmp_path, text, why):
+def test_yaml_aliases_that_would_fill_the_memory_are_refused_at_once(tmp_path, text, why):
     """The aliases expand to ten billion words of 700 bytes; the check takes milliseconds."""
     path = tmp_path / "bomb.yaml"
     path.write_text(text)
@@ -175,7 +175,7 @@ def test_aliases_that_would_fill_the_memory_are_refused_at_once(tmp_path, text, 
 
 
 @pytest.mark.slow
-def test_ordinary_aliases_and_long_files_are_read():
+def test_yaml_files_with_ordinary_aliases_and_long_files_are_read():
     text = "a: &a {x: 1, y: [1, 2]}\nb: *a\nc: {<<: *a, x: 3}\nd: [*a, *a]\n"
     a = {"x": 1, "y": [1, 2]}
     expected = {"a": a, "b": a, "c": a | {"x": 3}, "d": [a, a]}
@@ -185,7 +185,7 @@ def test_ordinary_aliases_and_long_files_are_read():
     assert content["t"] == texts  # files without aliases have no limit
 
 
-def test_the_description_of_a_key_is_that_of_its_annotation_even_inside_lists_and_unions():
+def test_a_key_is_described_by_its_annotation_even_inside_lists_and_unions():
     class Box(Settings):
         kind: Literal["box"]
         side_m: float = Field(description="Side of the box.")
@@ -224,7 +224,7 @@ def test_the_description_of_a_key_is_that_of_its_annotation_even_inside_lists_an
         ({"seed": -1}, "seed is -1: it should be greater than or equal to 0"),
     ],
 )
-def test_a_wrong_keyword_in_python_has_the_same_error_as_in_a_file(settings, message, tmp_path):
+def test_a_wrong_keyword_gives_the_same_error_in_python_and_in_a_file(settings, message, tmp_path):
     """The two errors differ only in the name in front and in whose keys they are."""
     settings = {"parts": ({"builtin": "toothpaste"},)} | settings
     with pytest.raises(GraycastError) as script:
@@ -239,6 +239,6 @@ def test_a_wrong_keyword_in_python_has_the_same_error_as_in_a_file(settings, mes
     assert same == str(script.value)
 
 
-def test_a_section_cannot_be_changed_later():
+def test_a_section_is_immutable():
     with pytest.raises(GraycastError, match=r"^StoreSection: frames cannot be set later: make a"):
         StoreSection().frames = True

@@ -14,7 +14,7 @@ from graycast.base.streams import (
 )
 
 
-def test_a_dataset_begun_earlier_continues_with_the_same_seeds():
+def test_seeds_equal_their_recorded_values_so_that_old_datasets_can_continue():
     """Stored result: seeds of seed 7, scene 3, in the first datasets. New streams come last."""
     assert scene_seeds(7, 3, domain=True) == {
         "counts": 6823953754371609207,
@@ -26,7 +26,7 @@ def test_a_dataset_begun_earlier_continues_with_the_same_seeds():
     }
 
 
-def test_no_two_stages_scenes_or_datasets_have_the_same_seed():
+def test_every_stage_scene_and_dataset_has_a_different_seed():
     every = [
         value
         for seed, scene_id in product(range(20), range(20))
@@ -35,7 +35,7 @@ def test_no_two_stages_scenes_or_datasets_have_the_same_seed():
     assert len(set(every)) == len(every) == 400 * len(SCENE)
 
 
-def test_without_a_domain_the_other_seeds_are_unchanged():
+def test_omitting_the_domain_changes_no_other_seed():
     seeds = scene_seeds(7, 3, domain=True)
     assert scene_seeds(7, 3, domain=False) == {k: v for k, v in seeds.items() if k != "domain"}
 
@@ -54,7 +54,7 @@ def test_a_rescan_shares_no_seed_with_its_source_or_with_another_scanner():
     assert len(set(every)) == len(every)
 
 
-def test_each_scanner_and_each_device_has_its_own_number():
+def test_each_scanner_and_each_device_has_its_own_random_stream():
     streams = [np.random.default_rng(5), *(station_stream(5, k) for k in range(1, 4))]
     first = station_stream(5, 0).uniform(size=3).tolist()
     draws = [stream.uniform(size=3).tolist() for stream in streams]

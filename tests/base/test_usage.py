@@ -10,7 +10,7 @@ import pytest
 from graycast.base.usage import GpuWatch, rss_bytes
 
 
-def test_newly_used_memory_is_counted():
+def test_resident_memory_includes_newly_mapped_pages():
     """The memory is mapped, because an allocator may return pages that are already resident."""
     before = rss_bytes()
     with mmap.mmap(-1, 50_000_000) as block:
@@ -34,7 +34,7 @@ def fake_driver(busy):
     )
 
 
-def test_the_load_is_the_mean_over_gpus_and_samples(monkeypatch):
+def test_the_reported_gpu_load_is_the_mean_over_gpus_and_samples(monkeypatch):
     """Oracle, by hand: (100 + 0) / 2, (50 + 30) / 2, and then 0.45 repeatedly."""
     first, second = iter([100, 50, *[45] * 1000]), iter([0, 30, *[45] * 1000])
     monkeypatch.setitem(sys.modules, "pynvml", fake_driver([first, second]))
@@ -45,7 +45,7 @@ def test_the_load_is_the_mean_over_gpus_and_samples(monkeypatch):
     assert gpu.share == pytest.approx(0.45)
 
 
-def test_without_a_driver_no_gpu_is_watched(monkeypatch):
+def test_a_missing_gpu_driver_gives_no_gpu_load(monkeypatch):
     def missing():
         raise NoDriver
 

@@ -46,7 +46,7 @@ def quick_wood(monkeypatch):
     monkeypatch.setattr(words, "wood_texture", lambda: np.zeros((2, 2, 3), dtype=np.uint8))
 
 
-def test_the_repository_has_configurations():
+def test_the_repository_contains_example_configurations():
     names = {str(path.relative_to(ROOT / "configs")) for path in CONFIGS}
     assert {"demo.yaml", "own_part.yaml", "paper/metal_workpiece_1.yaml"} <= names
     assert len(FILES) == len(CONFIGS) + len(CELLS) + len(STUDIES) + len(DESIGNS) + len(RIGS)
@@ -96,7 +96,7 @@ def test_every_configuration_in_the_repository_resolves(path):
     ("name", "read"),
     [("own_part", ["../examples/data/plate.stl"]), ("crate", ["../examples/data/crate.stl"])],
 )
-def test_reading_a_mesh_is_announced_with_its_name(name, read):
+def test_the_name_of_a_mesh_is_announced_before_reading(name, read):
     """A mesh of half a million faces takes seconds."""
     path, messages = ROOT / f"configs/{name}.yaml", []
     resolve_cell(load_config(path), path.parent, progress=Stages(messages.append))
@@ -104,7 +104,7 @@ def test_reading_a_mesh_is_announced_with_its_name(name, read):
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_each_key_of_our_configurations_has_an_effect(path):
+def test_each_key_in_a_repository_configuration_is_read_with_its_value(path):
     """Each key in a file of ours has the same value in the configuration."""
     config = load_config(path).model_dump(mode="json", exclude_unset=True)
     written = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -139,7 +139,7 @@ def test_omitted_sections_equal_the_defaults_of_their_classes():
     assert words.resolve_material(MaterialSection(), here) == Material()
 
 
-def test_the_default_bin_has_the_defaults_of_its_class():
+def test_a_bin_without_settings_has_the_defaults_of_its_class():
     box, notes = words.resolve_bin(least().bin, Path())
     assert notes == ()
     for field in fields(Bin):
@@ -161,7 +161,7 @@ def test_a_part_s_own_material_is_kept_except_for_the_given_keys(tmp_path):
     assert own.friction > 0
 
 
-def test_a_metal_with_one_changed_key_stays_metal(tmp_path):
+def test_a_metal_with_one_changed_key_remains_a_metal(tmp_path):
     """Otherwise it would be white plastic."""
     section = {"builtin": "metal_workpiece_1", "material": {"roughness": 0.2}}
     part = words.resolve_parts(Config.model_validate({"parts": [section]}), tmp_path)[0][0]
@@ -170,7 +170,7 @@ def test_a_metal_with_one_changed_key_stays_metal(tmp_path):
     assert own.metallic == 1.0
 
 
-def test_a_scaled_part_is_the_same_part_in_another_size(tmp_path):
+def test_scaling_a_part_changes_only_its_size(tmp_path):
     """A batch may be off by its tolerance: looks, symmetry and density stay, lengths do not."""
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     turn[:3, 3] = [0.02, 0.0, 0.0]  # a half turn about the line x = 10 mm, y = 0
@@ -191,7 +191,7 @@ def test_a_scaled_part_is_the_same_part_in_another_size(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_symmetry_is_stated_as_rotations_or_detected_in_the_shape(tmp_path):
+def test_a_part_s_symmetry_is_stated_as_rotations_or_detected_from_its_shape(tmp_path):
     """A box is off the origin: rotations are about the middle of its own box unless stated."""
     beside = trimesh.creation.box((20.0, 30.0, 60.0)).apply_translation([50.0, 10.0, 0.0])
     beside.export(tmp_path / "beside.stl")
@@ -219,7 +219,7 @@ def test_a_symmetry_s_axis_may_have_any_length(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_rig_is_placed_where_the_view_says(tmp_path):
+def test_the_rig_is_placed_according_to_the_view_section(tmp_path):
     """The middle of the baseline is above the target by the distance, and aside by its tilt."""
     for view, middle_m in (
         ({"distance_m": 0.8, "target_m": [0.1, 0.2, 0.0]}, [0.1, 0.2, 0.8]),
@@ -268,7 +268,7 @@ def naming_files(folder, box):
 
 
 @pytest.mark.parametrize("box", [BOX_BIN, MESH_BIN], ids=["box", "mesh"])
-def test_every_named_file_has_its_digest(tmp_path, box):
+def test_every_file_named_in_a_configuration_has_a_digest(tmp_path, box):
     """Oracle: the files in the folder. A file without digest could change between two runs."""
     path, names = naming_files(tmp_path, box)
     config = load_config(path)
@@ -283,7 +283,7 @@ def test_every_named_file_has_its_digest(tmp_path, box):
         before = after
 
 
-def test_files_that_a_mesh_uses_have_digests(tmp_path):
+def test_the_files_that_a_mesh_uses_have_digests(tmp_path):
     """A changed texture of a bin was once accepted by a second run, because no claim had it."""
     clutter = {"mesh": "models/clutter.obj", "unit": "mm"}
     path = write_cell(
@@ -310,7 +310,7 @@ def test_files_that_a_mesh_uses_have_digests(tmp_path):
         (tmp_path / name).write_text(texts[name])
 
 
-def test_no_other_setting_names_a_file():
+def test_the_tests_of_digests_cover_every_setting_that_names_a_file():
     """A new one must be added to the test above, and to the digests."""
     path_settings = set()
 
@@ -423,7 +423,7 @@ def test_the_schema_accepts_every_configuration(path):
         ({"parts": []}, "file.parts has 0 items"),
     ],
 )
-def test_the_schema_refuses_what_the_program_refuses(changes, fault):
+def test_the_schema_refuses_every_configuration_that_the_program_refuses(changes, fault):
     content = {"parts": [{"builtin": "toothpaste"}]} | changes
     texts = faults(content, SCHEMA, SCHEMA)
     assert any(fault in text for text in texts), texts
@@ -432,7 +432,7 @@ def test_the_schema_refuses_what_the_program_refuses(changes, fault):
 
 
 @pytest.mark.parametrize("schema", [SCHEMA, RigModel.model_json_schema()], ids=["config", "rig"])
-def test_a_schema_is_closed_and_consistent(schema):
+def test_a_schema_admits_no_unknown_keys_and_is_consistent(schema):
     """Every object refuses unknown keys, requires only keys that it has, and keeps its limits."""
     objects = [schema, *schema.get("$defs", {}).values()]
     assert len(objects) > 1
@@ -446,7 +446,7 @@ def test_a_schema_is_closed_and_consistent(schema):
 
 
 @pytest.mark.slow
-def test_every_setting_is_refused_when_it_is_misspelt(tmp_path):
+def test_every_misspelt_setting_is_refused(tmp_path):
     """Two letters of each key of each section are swapped; the right key is suggested."""
     sections = Config.model_json_schema()
     for name, section in {"": sections, **sections["$defs"]}.items():

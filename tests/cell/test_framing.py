@@ -63,7 +63,7 @@ def test_the_chosen_scanner_sees_every_corner_of_the_bin_and_cannot_be_closer(le
 
 
 @pytest.mark.slow
-def test_no_scanner_of_the_shelf_fills_its_picture_much_better():
+def test_no_other_framing_fills_a_picture_much_better_than_the_chosen_one():
     """Every distance of every scanner is tried, with OpenCV's projection."""
     box, best = BUSHING_BIN, 0.0
     for name in SCANNERS:
@@ -75,7 +75,7 @@ def test_no_scanner_of_the_shelf_fills_its_picture_much_better():
     assert best_framing(box).bin_share >= ENOUGH * best > 0
 
 
-def test_the_bin_of_a_bushing_fills_more_than_a_ninth_of_the_picture():
+def test_the_chosen_framing_lets_a_bushing_s_bin_fill_most_of_the_picture():
     """At the distance where its axes cross, a scanner had 11 % of its picture filled by it."""
     rig = preset_rig("like-phoxi-m", "small")
     T_world_cam = hang(ViewSection(distance_m=standoff_m(rig)), rig, BUSHING_BIN)
@@ -83,7 +83,7 @@ def test_the_bin_of_a_bushing_fills_more_than_a_ninth_of_the_picture():
     assert best_framing(BUSHING_BIN).bin_share > 0.65
 
 
-def test_if_no_scanner_fits_the_nearest_one_is_named_with_what_is_missing():
+def test_a_bin_that_fits_no_scanner_gets_the_nearest_scanner_and_its_shortfall():
     """One scanner ends 50 mm above the floor's corners, and another one misses more."""
     framing = best_framing(Bin(inner_m=(3.0, 2.25, 1.12)))
     assert framing.rig.name == "like-phoxi-xl" and framing.missing_m > 0.1
@@ -96,7 +96,7 @@ def test_if_no_scanner_fits_the_nearest_one_is_named_with_what_is_missing():
     assert (np.ptp(depth_m) - 0.136) / 2 <= one.missing_m <= (np.ptp(depth_m) - 0.136) / 2 + STEP_M
 
 
-def test_the_share_of_a_bin_in_a_picture_is_that_of_its_rim():
+def test_the_rim_of_a_bin_determines_its_share_of_the_picture():
     """The camera looks straight down from 0.5 m, where the rim hides nothing of the floor."""
     camera = pinhole(400, 300, 500.0)
     box = Bin(inner_m=(0.2, 0.1, 0.1))
@@ -107,7 +107,7 @@ def test_the_share_of_a_bin_in_a_picture_is_that_of_its_rim():
     assert bin_share(camera, ABOVE, wide) == pytest.approx(rim_px[1] / 300, rel=1e-4)
 
 
-def test_a_part_s_width_is_that_of_its_longest_side_in_the_middle_of_the_bin():
+def test_the_stated_width_of_a_part_is_its_longest_side_at_a_third_of_the_bin():
     """A part of 50 mm is at a depth of 0.5 - 0.09 / 3 m."""
     part = builtin_part("metal_workpiece_1")
     part = part.scaled(0.05 / float(part.mesh.extent_m.max()))

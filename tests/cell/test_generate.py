@@ -85,13 +85,13 @@ def test_a_generated_dataset_is_valid(undisturbed):
 
 
 @pytest.mark.slow
-def test_the_same_command_in_another_folder_makes_the_same_files(cell, undisturbed, tmp_path):
+def test_repeating_a_command_in_another_folder_makes_equal_files(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=3)
     assert content(tmp_path / "out") == content(undisturbed)
 
 
 @pytest.mark.slow
-def test_scenes_differ_from_each_other_and_between_seeds(cell, undisturbed, tmp_path):
+def test_scenes_differ_within_a_dataset_and_between_seeds(cell, undisturbed, tmp_path):
     run(cell, tmp_path / "out", scenes=1, seed=1)
     pictures = [
         (folder / "train" / scene / "rgb" / "000000.png").read_bytes()
@@ -131,7 +131,7 @@ def test_scenes_without_parts_are_pictures_of_the_empty_bin(tmp_path):
     assert nearer_m.min() > 0 and np.median(nearer_m) > 0.02  # the box is at least 30 mm high
 
 
-def test_a_second_run_writes_nothing_and_reports_it(cell, undisturbed, tmp_path):
+def test_a_second_run_writes_nothing_and_says_so(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     train = tmp_path / "out" / "train"
     before = {path: path.stat().st_mtime_ns for path in train.rglob("*")}
@@ -150,7 +150,7 @@ def test_scenes_added_later_equal_those_of_a_single_run(cell, undisturbed, tmp_p
 
 
 @pytest.mark.slow
-def test_a_run_for_fewer_scenes_keeps_all_existing_ones(cell, undisturbed, tmp_path):
+def test_a_run_for_fewer_scenes_keeps_all_existing_scenes(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     summary, count, ids = run(cell, tmp_path / "out", scenes=1)
     assert (summary.written, summary.found, count, ids) == (0, 1, 1, [])
@@ -196,7 +196,7 @@ def test_a_change_of_the_scanner_in_a_rig_file_is_noticed(cell, undisturbed, nam
         rerender(other, undisturbed, 0, seed=0, device="cpu")
 
 
-def test_with_mix_a_scene_has_all_kinds_and_otherwise_one(tmp_path):
+def test_a_scene_has_all_kinds_of_parts_with_mix_and_one_kind_without(tmp_path):
     parts = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("a", "b", "c")]
     rng = np.random.default_rng
     for mix in (False, True):
@@ -215,7 +215,7 @@ def test_with_mix_a_scene_has_all_kinds_and_otherwise_one(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_configuration_with_a_too_small_bin_claims_no_folder(tmp_path):
+def test_a_configuration_whose_bin_is_too_small_claims_no_folder(tmp_path):
     """A folder once kept the claim of a configuration that never made a scene."""
     out = tmp_path / "out"
     narrow = {"inner_m": [0.02, 0.02, 0.1], "material": {}}
@@ -265,7 +265,7 @@ def failing(monkeypatch, wrong):
 
 
 @pytest.mark.slow
-def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
+def test_a_scene_that_cannot_be_made_is_set_aside_and_reported(
     cell, undisturbed, tmp_path, monkeypatch
 ):
     out = tmp_path / "out"
@@ -295,7 +295,7 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
 
 
 @pytest.mark.slow
-def test_a_scene_is_tried_three_times_and_its_error_reported_with_a_traceback(
+def test_a_failing_scene_is_tried_three_times_and_reported_with_a_traceback(
     cell, undisturbed, tmp_path, monkeypatch
 ):
     with monkeypatch.context() as patch:
@@ -320,7 +320,7 @@ def test_a_run_without_a_finished_scene_stops_early_with_the_reason(cell, tmp_pa
     assert {entry.name for entry in (tmp_path / "out").iterdir()} <= {".lock"}
 
 
-def test_a_run_continues_if_other_scenes_succeeded_however_many_fail(
+def test_a_run_with_successful_scenes_continues_however_many_scenes_fail(
     cell, undisturbed, tmp_path, monkeypatch
 ):
     """Existing scenes show that the cell works: those that fail are set aside."""
@@ -332,7 +332,9 @@ def test_a_run_continues_if_other_scenes_succeeded_however_many_fail(
 
 
 @pytest.mark.slow
-def test_rerender_reproduces_a_scene_and_names_a_changed_file(cell, undisturbed, tmp_path):
+def test_the_rerender_command_reproduces_a_scene_and_names_a_changed_file(
+    cell, undisturbed, tmp_path
+):
     out = tmp_path / "out"
     shutil.copytree(undisturbed, out)
     assert rerender(cell, out, 1, seed=0, device="cpu") == {}
@@ -355,7 +357,7 @@ def test_rerender_reproduces_a_scene_and_names_a_changed_file(cell, undisturbed,
 
 
 @pytest.mark.slow
-def test_the_command_rerender_needs_only_the_dataset(config_file, undisturbed, tmp_path, capsys):
+def test_the_rerender_command_needs_only_the_dataset(config_file, undisturbed, tmp_path, capsys):
     again = ["dataset", "rerender", str(undisturbed), "--scene", "1", "--device", "cpu"]
     assert main(again) == 1
     complaint = capsys.readouterr().err
@@ -365,7 +367,7 @@ def test_the_command_rerender_needs_only_the_dataset(config_file, undisturbed, t
     assert capsys.readouterr().out.endswith("000001: the same\n")
 
 
-def test_a_dataset_s_origin_has_its_configuration(cell, undisturbed):
+def test_the_recorded_origin_of_a_dataset_includes_its_configuration(cell, undisturbed):
     origin = read_origin(undisturbed)
     run_keys = {"scenes", "seed"}
     assert origin.config.model_dump(exclude=run_keys) == cell.config.model_dump(exclude=run_keys)
@@ -373,7 +375,7 @@ def test_a_dataset_s_origin_has_its_configuration(cell, undisturbed):
 
 
 @pytest.mark.slow
-def test_two_workers_make_the_same_files_as_one(config_file, many, tmp_path):
+def test_two_workers_make_the_same_files_as_one_worker(config_file, many, tmp_path):
     out = tmp_path / "out"
     with start("generate", config_file, "--out", out, "--scenes", 12, "--workers", 2) as run:
         printed, complaint = run.communicate()
@@ -384,7 +386,9 @@ def test_two_workers_make_the_same_files_as_one(config_file, many, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_ctrl_c_ends_quietly_and_the_same_command_continues(config_file, many, tmp_path, workers):
+def test_ctrl_c_ends_a_run_quietly_and_the_same_command_continues(
+    config_file, many, tmp_path, workers
+):
     out = tmp_path / "out"
     command = ("generate", config_file, "--out", out, "--scenes", 12, "--workers", workers)
     with start(*command) as run:
@@ -421,7 +425,7 @@ generate(
 
 
 @pytest.mark.slow
-def test_memory_is_constant_over_500_scenes(config_file, tmp_path):
+def test_memory_does_not_increase_over_500_scenes(config_file, tmp_path):
     """Resident memory of the last tenth of the scenes is compared with the second tenth."""
     command = [sys.executable, "-c", _MEMORY, str(config_file), str(tmp_path / "out"), "500"]
     rss = [int(line) for line in subprocess.check_output(command, text=True).split()]
@@ -430,7 +434,7 @@ def test_memory_is_constant_over_500_scenes(config_file, tmp_path):
 
 
 @pytest.mark.slow
-def test_after_a_full_disk_the_same_command_continues(config_file, many, tmp_path):
+def test_repeating_a_command_after_a_full_disk_continues_the_dataset(config_file, many, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
@@ -458,7 +462,7 @@ def test_after_a_full_disk_the_same_command_continues(config_file, many, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_configured_depth_step_is_used_in_files_and_is_no_key_of_the_dataset_s_configuration(
+def test_a_configured_depth_step_is_applied_to_files_and_stated_once_per_dataset(
     config_file, tmp_path
 ):
     """A dataset states its step once, where rerender and a continued run read it."""

@@ -15,7 +15,7 @@ from graycast.rig.optics import picture_rays
 from graycast.world.scene import bin_of
 
 
-def test_the_metered_pixels_are_those_whose_rays_meet_the_inside_of_the_bin(tmp_path):
+def test_metered_pixels_are_those_whose_rays_meet_the_inside_of_the_bin(tmp_path):
     """Oracle: the slab method for the box, which shares no code with the projected hull."""
     scene = load_cell(write_cell(tmp_path)).scene
     length_m, width_m, height_m = bin_of(scene).inner_m
@@ -41,7 +41,7 @@ def test_a_scene_without_a_bin_has_no_metered_region(tmp_path):
 
 
 @pytest.mark.parametrize("exposure", [ExposureSpec(), ExposureSpec(exposure_s=0.01)])
-def test_fixed_exposures_draw_no_metered_region(tmp_path, monkeypatch, exposure):
+def test_fixed_exposures_compute_no_metered_region(tmp_path, monkeypatch, exposure):
     scene = load_cell(write_cell(tmp_path)).scene
     monkeypatch.setattr(cv2, "fillConvexPoly", None)
     assert metered_region(scene, exposure) is None

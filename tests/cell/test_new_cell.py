@@ -20,7 +20,7 @@ from graycast.world.parts.part_sections import Unit
 from graycast.world.scene import Bin
 
 
-def test_the_text_of_a_configuration_lists_all_units():
+def test_a_new_configuration_lists_all_units():
     assert set(get_args(Unit)) == set(UNITS_M)
 
 
@@ -28,7 +28,9 @@ def test_the_text_of_a_configuration_lists_all_units():
 @pytest.mark.parametrize(
     "name", [slow("a: b #1.stl"), 'it\'s "big" {v2}.stl', slow("größe, 5 %.stl")]
 )
-def test_file_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
+def test_the_mesh_and_the_folder_of_a_new_cell_may_have_any_name(
+    tmp_path, monkeypatch, capsys, name
+):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.06)).export("block.stl")
     (tmp_path / "block.stl").rename(tmp_path / name)
@@ -41,7 +43,7 @@ def test_file_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("surface", ["plastic", "steel", "cardboard"])
-def test_a_new_cell_is_read_with_the_values_that_were_written(tmp_path, monkeypatch, surface):
+def test_a_new_cell_file_is_read_with_the_values_that_were_written(tmp_path, monkeypatch, surface):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.06)).export(tmp_path / "block.stl")
     words = ["new", "cell", "--part", "block.stl", "--unit", "m", "--surface", surface]
@@ -104,7 +106,9 @@ def test_a_builtin_part_gets_the_surface_that_was_asked_for(tmp_path, monkeypatc
 
 
 @pytest.mark.slow
-def test_the_line_about_a_new_cell_agrees_with_the_configuration(tmp_path, monkeypatch, capsys):
+def test_the_printed_line_about_a_new_cell_agrees_with_its_configuration(
+    tmp_path, monkeypatch, capsys
+):
     """Oracle: the share and the width that the configuration itself gives, at two resolutions."""
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.044)).export("block.stl")
@@ -125,7 +129,7 @@ def test_the_line_about_a_new_cell_agrees_with_the_configuration(tmp_path, monke
     assert f"# {line}" in (tmp_path / "cell/cell.yaml").read_text()
 
 
-def test_a_bin_that_fits_no_scanner_names_the_nearest_one_and_what_it_misses():
+def test_a_new_cell_without_a_fitting_scanner_names_the_nearest_and_its_shortfall():
     box = Bin(inner_m=(3.0, 2.25, 1.12))
     framing = best_framing(box)
     lacking = f"this one is nearest: it lacks {1e3 * framing.missing_m:.0f} mm"
@@ -133,7 +137,7 @@ def test_a_bin_that_fits_no_scanner_names_the_nearest_one_and_what_it_misses():
 
 
 @pytest.mark.parametrize("inner_m", [(0.12, 0.09, 0.05), (0.15, 0.11, 0.06), (0.22, 0.16, 0.08)])
-def test_a_bin_that_is_small_for_every_scanner_says_so(inner_m):
+def test_a_note_says_that_a_bin_is_small_for_every_scanner(inner_m):
     """Oracle: the share of each scanner that holds the bin, one by one."""
     box = Bin(inner_m=inner_m)
     fits = [one for name in SCANNERS if (one := best_framing(box, [name])).missing_m <= 0]
@@ -146,13 +150,13 @@ def test_a_bin_that_is_small_for_every_scanner_says_so(inner_m):
 
 
 @pytest.mark.parametrize(("longest_m", "length_m"), [(0.005, 0.12), (0.06, 0.3), (0.4, 1.0)])
-def test_a_bin_is_five_parts_long_within_the_limits_of_bins(longest_m, length_m):
+def test_a_new_bin_is_five_parts_long_within_the_size_limits(longest_m, length_m):
     part = builtin_part("metal_workpiece_1")
     part = part.scaled(longest_m / float(part.mesh.extent_m.max()))
     np.testing.assert_allclose(bin_for(part), np.array([1, 0.75, 0.375]) * length_m, atol=0.0051)
 
 
-def test_a_built_in_part_keeps_its_own_surface():
+def test_a_built_in_part_of_a_new_cell_keeps_its_own_surface():
     part = builtin_part("toothpaste")
     assert "material" not in new_cell("a", part, {"builtin": "toothpaste"}, surface=None)
 
@@ -170,7 +174,7 @@ def test_a_built_in_part_keeps_its_own_surface():
         (["new", ".", "--builtin", "toothpaste"], "is not empty: choose another folder"),
     ],
 )
-def test_a_refused_part_leaves_no_folder(tmp_path, monkeypatch, capsys, words, wrong):
+def test_a_refused_part_leaves_no_folder_of_a_new_cell(tmp_path, monkeypatch, capsys, words, wrong):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.06)).export("c.stl")
     assert main(words) == 1 and wrong in capsys.readouterr().err
@@ -178,7 +182,7 @@ def test_a_refused_part_leaves_no_folder(tmp_path, monkeypatch, capsys, words, w
 
 
 @pytest.mark.slow
-def test_the_demonstration_ends_with_a_picture_and_can_be_continued(tmp_path, monkeypatch, capsys):
+def test_the_demonstration_makes_a_picture_and_can_be_continued(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "--device", "cpu"]) == 0
     assert "Open graycast-demo/preview.png" in capsys.readouterr().out
@@ -195,7 +199,7 @@ def test_the_demonstration_ends_with_a_picture_and_can_be_continued(tmp_path, mo
         ((3, 2, 1), "mm", "3.0 x 2.0 x 1.0 mm", "0.0471 g", "is 3 mm long, and most parts"),
     ],
 )
-def test_new_prints_size_and_mass_and_comments_on_an_implausible_unit(
+def test_the_new_command_prints_size_and_mass_and_doubts_an_implausible_unit(
     tmp_path, monkeypatch, capsys, sides, unit, size, mass, note
 ):
     """Oracle: 8 cm^3 of steel weigh 62.8 g, and 25.4^3 times that in inches."""

@@ -25,7 +25,7 @@ def listed(cell, **change):
 
 
 @pytest.mark.slow
-def test_a_code_given_as_frames_measures_like_the_named_one(cell, mitsuba_renderer):
+def test_a_code_given_as_frames_measures_like_the_named_code(cell, mitsuba_renderer):
     spec, code = listed(cell)
     named = replace(cell, scanner=replace(cell.scanner, code=spec))
     own = cell.with_own(code=code)
@@ -37,7 +37,7 @@ def test_a_code_given_as_frames_measures_like_the_named_one(cell, mitsuba_render
 
 
 @pytest.mark.slow
-def test_a_dataset_of_an_own_code_records_it_and_is_not_continued_without_it(
+def test_a_dataset_records_its_own_code_and_is_not_continued_without_this_code(
     cell, tmp_path, mitsuba_renderer
 ):
     sensor = replace(cell.scanner.sensor, read_noise_e=40.0)
@@ -58,7 +58,7 @@ def test_a_dataset_of_an_own_code_records_it_and_is_not_continued_without_it(
         generate(cell, tmp_path / "own", scenes=2, seed=3, device="cpu")
 
 
-def test_a_code_that_does_not_fit_the_cell_is_refused(cell, tmp_path):
+def test_a_given_code_that_does_not_fit_the_cell_is_refused(cell, tmp_path):
     with pytest.raises(ValueError, match=r"made for 64 x 96 px, and the projector has 128 x 96"):
         cell.with_own(code=listed(cell, width_px=64)[1])
     rows = gc.CodeSpec(codec="gray", axes=("row",)).code(128, 96)

@@ -12,7 +12,7 @@ def shares(**of_reason: float) -> dict[str, float]:
     return {reason.label: of_reason.get(reason.label, 0.0) for reason in Reason}
 
 
-def test_the_note_names_the_share_and_the_main_reason():
+def test_the_note_about_little_depth_states_the_share_and_the_main_reason():
     note = little_depth_note(shares(decoded=0.13, saturated=0.5, low_modulation=0.37))
     assert note == (
         "13.0% of the parts' pixels have depth; the main reason of missing depth is saturated "
@@ -21,11 +21,11 @@ def test_the_note_names_the_share_and_the_main_reason():
 
 
 @pytest.mark.parametrize("of_parts", [{}, shares(decoded=0.5, shadow=0.5)])
-def test_there_is_no_note_without_parts_or_if_at_least_half_of_their_pixels_have_depth(of_parts):
+def test_no_note_is_given_without_parts_or_if_half_of_their_pixels_have_depth(of_parts):
     assert little_depth_note(of_parts) == ""
 
 
-def test_a_change_that_a_scanner_already_has_is_not_tried_again():
+def test_a_remedy_that_the_scanner_already_has_is_not_tried_again():
     first = remedies(preset("like-phoxi-m", "small"))
     again = remedies(first[0].scanner)
     assert "exposure: {auto: true}" in [remedy.words for remedy in first]
@@ -36,7 +36,7 @@ def of(depth: float, wrong: float) -> DepthShares:
     return DepthShares(depth=depth, wrong=wrong)
 
 
-def test_the_change_with_most_depth_is_named_with_its_share_of_wrong_depths():
+def test_the_remedy_with_most_depth_is_named_with_its_share_of_wrong_depths():
     tries = {"exposure": of(0.36, 0.004), "decode": of(0.2, 0.0), "other": of(0.131, 0.0)}
     assert advice(of(0.13, 0.001), tries) == (
         "now 0.1% of the depths are wrong (over 1 mm and 5 sigma off); with `exposure` 36.0% have "
@@ -44,7 +44,7 @@ def test_the_change_with_most_depth_is_named_with_its_share_of_wrong_depths():
     )
 
 
-def test_depth_that_is_bought_with_wrong_depths_is_no_remedy():
+def test_a_change_that_adds_many_wrong_depths_is_no_remedy():
     tries = {"decode": of(0.4, 0.06), "exposure": of(0.36, 0.003)}
     text = advice(of(0.13, 0.001), tries)
     assert "with `exposure` 36.0% have depth, 0.3% of it wrong" in text
@@ -54,7 +54,7 @@ def test_depth_that_is_bought_with_wrong_depths_is_no_remedy():
     assert "`decode` is no remedy" in alone
 
 
-def test_if_no_change_gives_more_depth_the_changes_and_the_wrong_depths_are_stated():
+def test_useless_changes_are_listed_with_the_share_of_wrong_depths():
     tries = {"exposure": of(0.134, 0.0), "decode": of(0.1, 0.0)}
     assert advice(of(0.13, 0.021), tries) == (
         "now 2.1% of the depths are wrong (over 1 mm and 5 sigma off); none of these changes gives "
@@ -62,7 +62,7 @@ def test_if_no_change_gives_more_depth_the_changes_and_the_wrong_depths_are_stat
     )
 
 
-def test_a_depth_is_wrong_only_beyond_both_limits_and_only_parts_count():
+def test_a_wrong_depth_exceeds_two_limits_and_only_parts_are_counted():
     """Each pixel is a case of the definition in docs/measurements/materials.md."""
     true_m = np.full((1, 7), 0.5)
     off_mm = np.array([[0.0, 0.9, 1.1, -1.1, -9.0, np.nan, 5.0]])

@@ -69,7 +69,7 @@ def flat_field(scanner, seed):
     return frames.mean(axis=0)
 
 
-def test_fixed_patterns_of_two_scanners_are_independent_and_that_of_one_is_constant(tmp_path):
+def test_each_scanner_has_a_constant_fixed_pattern_independent_of_other_scanners(tmp_path):
     cell = resolved(tmp_path, scanners=two(UNEVEN, UNEVEN))
     (_, a), (_, b) = cell.scanners
     assert abs(correlation(flat_field(a, 1), flat_field(b, 2))) < 4
@@ -78,7 +78,7 @@ def test_fixed_patterns_of_two_scanners_are_independent_and_that_of_one_is_const
     assert b.sensor == replace(a.sensor, fpn_seed=device_seed(a.sensor.fpn_seed, "b"))
 
 
-def test_one_device_with_two_settings_has_one_fixed_pattern(tmp_path):
+def test_one_device_with_two_settings_has_a_single_fixed_pattern(tmp_path):
     """Two scanners with the same stated seed are the same sensor."""
     same = {"sensor": UNEVEN["sensor"] | {"fpn_seed": 7}}
     cell = resolved(tmp_path, scanners=two(same, same | {"exposure": {"factors": [1, 4]}}))
@@ -86,7 +86,7 @@ def test_one_device_with_two_settings_has_one_fixed_pattern(tmp_path):
     assert a.sensor == b.sensor and a.sensor.fpn_seed == 7
 
 
-def test_rasters_of_two_scanners_are_independent(tmp_path):
+def test_error_rasters_of_two_scanners_are_independent(tmp_path):
     """The preset of a laser scanner has a raster and no other fixed pattern."""
     cell = resolved(tmp_path, scanners=[{"name": n, "rig": "like-phoxi-m"} for n in "ab"])
     seeds = [scanner.sensor.fpn_seed for _, scanner in cell.scanners]
@@ -97,12 +97,12 @@ def test_rasters_of_two_scanners_are_independent(tmp_path):
     assert abs(correlation(np.log(a[::6]), np.log(b[::6]))) < 4
 
 
-def test_scanners_without_a_fixed_pattern_are_unchanged(tmp_path):
+def test_scanners_without_a_fixed_pattern_keep_their_sensor_seed(tmp_path):
     cell = resolved(tmp_path, scanners=two({}, {}))
     assert [scanner.sensor.fpn_seed for _, scanner in cell.scanners] == [0, 0]
 
 
-def test_a_device_with_the_seed_0_has_the_raster_of_all_former_devices():
+def test_seed_0_gives_the_error_raster_of_earlier_versions():
     """So stored data of a single scanner remain comparable."""
     first = np.sqrt(3) * np.random.default_rng(15).uniform(-1, 1, (2, 4, 5))
     np.testing.assert_array_equal(places((4, 5), seed=0), first)
@@ -116,7 +116,7 @@ DOMAINS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", DOMAINS)
-def test_a_domain_moves_each_scanner_independently_and_a_mounted_one_with_the_first(tmp_path, kind):
+def test_a_domain_moves_scanners_independently_except_for_mounted_scanners(tmp_path, kind):
     views = [{"distance_m": 1.0}, {"distance_m": 1.0, "tilt_deg": 10}]
     scanners = two({}, {}, MOUNTED)
     cell = resolved(tmp_path, domain=DOMAINS[kind], views=views, scanners=scanners)

@@ -34,14 +34,14 @@ def cell_and_shot(tmp_path_factory):
         return cell, make_scene(cell, 3, seed=5, renderer=renderer)
 
 
-def test_the_manifest_s_exposure_is_that_of_the_grey_picture(cell_and_shot):
+def test_the_manifest_states_the_exposure_of_the_grey_picture(cell_and_shot):
     _, shot = cell_and_shot
     assert shot.sample.manifest["exposure_s"] == pytest.approx(0.02, rel=1e-6)
     assert set(np.unique(shot.capture.exposure_s)) <= set(np.float32([0.002, 0.008, 0.04]))
     assert shot.capture.exposure_s.max() > 0.03
 
 
-def test_noise_and_colour_picture_use_the_seeds_of_their_names(cell_and_shot):
+def test_noise_and_colour_picture_use_their_own_seeds_from_the_manifest(cell_and_shot):
     """Otherwise a change in one would change the other, and a manifest would have a wrong seed."""
     cell, shot = cell_and_shot
     seeds = shot.sample.manifest["seeds"]
@@ -60,7 +60,7 @@ def test_the_number_of_parts_fills_the_configured_share_of_the_bin(tmp_path, fil
     assert count == max(1, round(fill * 0.5 * (0.25 * 0.2 * 0.1) / (0.06 * 0.04 * 0.03)))
 
 
-def test_mixed_kinds_together_fill_the_configured_share(tmp_path):
+def test_mixed_kinds_of_parts_together_fill_the_configured_share_of_the_bin(tmp_path):
     """A box and one twice as high have a mean of one and a half boxes."""
     trimesh.creation.box((60, 40, 60)).export(tmp_path / "high.stl")
     parts = [{"mesh": name, "unit": "mm"} for name in ("box.stl", "high.stl")]
@@ -68,7 +68,7 @@ def test_mixed_kinds_together_fill_the_configured_share(tmp_path):
     assert sum(counts_of(cell, 0, np.random.default_rng(0))) == round(34.72 / 1.5)
 
 
-def test_decoding_the_stored_pictures_gives_the_stored_reasons(cell_and_shot):
+def test_decoding_the_saved_pictures_gives_the_saved_reasons(cell_and_shot):
     """Only the decoder gives reasons; the truth, which a real scanner lacks, is not used."""
     cell, shot = cell_and_shot
     noise = shot.rendering.radiance.path_noise
@@ -78,7 +78,7 @@ def test_decoding_the_stored_pictures_gives_the_stored_reasons(cell_and_shot):
     np.testing.assert_array_equal(depth.depth_m, stored.depth_m)
 
 
-def test_the_shares_in_a_manifest_are_those_of_the_map_of_reasons(cell_and_shot):
+def test_the_shares_in_a_manifest_agree_with_the_map_of_reasons(cell_and_shot):
     _, shot = cell_and_shot
     reason, on_part = shot.sample.scanner_depth.reason, shot.rendering.truth.instance >= 0
     assert on_part.any()
@@ -108,7 +108,7 @@ class Playback(Renderer):
         ({"denoise": True, "backend": "cycles", "cycles": {"denoise": "oidn"}}, None),
     ],
 )
-def test_a_colour_picture_is_denoised_once(cell_and_shot, monkeypatch, words, denoiser):
+def test_a_colour_picture_is_denoised_only_once(cell_and_shot, monkeypatch, words, denoiser):
     """A renderer that denoises every picture has denoised this one already."""
     cell, shot = cell_and_shot
     render = RenderSection.model_validate(words)
@@ -143,7 +143,7 @@ print(len(before), *sorted(kernels() - before))
 
 
 @pytest.mark.slow
-def test_a_scene_compiles_nothing_that_was_not_compiled_before_the_workers_started(tmp_path):
+def test_every_kernel_of_a_scene_is_compiled_before_the_workers_start(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     command = [sys.executable, "-c", COMPILED, str(write_cell(tmp_path))]
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)

@@ -54,7 +54,7 @@ def dataset(cell, tmp_path_factory):
     return out
 
 
-def test_depths_of_all_images_agree_with_each_other(shots):
+def test_depths_in_all_images_of_a_scene_agree(shots):
     """Oracle: a point that two cameras see has one position; others are hidden from one of them.
 
     A point of the first image is projected into the second, whose depth there is that of the same
@@ -76,14 +76,14 @@ def test_depths_of_all_images_agree_with_each_other(shots):
             assert (np.abs(gap) < 2e-3).mean() > 0.75  # all others are hidden
 
 
-def test_a_mounted_scanner_sees_from_its_pose_on_the_first(shots):
+def test_a_mounted_scanner_s_images_are_taken_from_its_pose_on_the_first_scanner(shots):
     first, second = shots[:2], shots[2:]
     for one, other in zip(first, second, strict=True):
         T = inverse(one.sample.scene.T_world_cam) @ other.sample.scene.T_world_cam
         np.testing.assert_allclose(T, np.reshape(MOUNT, (4, 4)), atol=1e-12)
 
 
-def test_all_images_share_one_layout_and_have_independent_noise(shots):
+def test_images_of_a_scene_share_one_layout_and_have_independent_noise(shots):
     assert len({id(shot.sample.layout) for shot in shots}) == 1
     assert [(s.sample.sensor, s.sample.image) for s in shots] == [
         ("one", 0),
@@ -95,7 +95,9 @@ def test_all_images_share_one_layout_and_have_independent_noise(shots):
     assert "drop" not in shots[1].sample.manifest["timings"]
 
 
-def test_the_first_image_is_that_of_the_cell_without_views(shots, tmp_path, mitsuba_renderer):
+def test_the_first_image_equals_the_image_of_a_cell_without_views(
+    shots, tmp_path, mitsuba_renderer
+):
     alone = make_scene(cell_of(tmp_path / "alone"), 1, seed=3, renderer=mitsuba_renderer).sample
     first = shots[0].sample
     for name in ("rgb", "gray", "modulation"):
@@ -104,7 +106,7 @@ def test_the_first_image_is_that_of_the_cell_without_views(shots, tmp_path, mits
     np.testing.assert_array_equal(first.truth.depth_m, alone.truth.depth_m)
 
 
-def test_a_reused_world_gives_the_same_light_as_a_new_one(shots, cell, mitsuba_renderer):
+def test_a_reused_world_gives_the_same_light_as_a_new_world(shots, cell, mitsuba_renderer):
     scene = shots[-1].sample
     mitsuba_renderer.close()  # releases the reused world
     again = mitsuba_renderer.render(
@@ -117,7 +119,7 @@ def test_a_reused_world_gives_the_same_light_as_a_new_one(shots, cell, mitsuba_r
     np.testing.assert_array_equal(again.radiance.pattern, shots[-1].rendering.radiance.pattern)
 
 
-def test_a_list_of_one_writes_the_files_of_a_single_view(tmp_path):
+def test_a_list_of_one_view_gives_the_same_files_as_a_single_view(tmp_path):
     generate(cell_of(tmp_path / "a"), tmp_path / "plain", scenes=1, seed=2, device="cpu")
     listed = cell_of(tmp_path / "b", views=[{}])
     generate(listed, tmp_path / "listed", scenes=1, seed=2, device="cpu")
@@ -130,7 +132,7 @@ def test_a_list_of_one_writes_the_files_of_a_single_view(tmp_path):
     assert {key for key in one if one[key] != two[key]} == {"config", "manifest_sha256"}
 
 
-def test_a_dataset_of_views_is_valid_and_is_reproduced(cell, dataset):
+def test_a_dataset_with_several_views_is_valid_and_reproducible(cell, dataset):
     assert validate(dataset) == ()
     assert rerender(cell, dataset, 2, seed=3, device="cpu") == {}
     stored = open_dataset(dataset)
@@ -138,14 +140,14 @@ def test_a_dataset_of_views_is_valid_and_is_reproduced(cell, dataset):
     assert len(stored.images_of(stored.scenes[0])) == 4
 
 
-def test_rerender_reports_a_changed_second_image(cell, dataset, tmp_path):
+def test_the_rerender_command_reports_a_changed_second_image(cell, dataset, tmp_path):
     out = shutil.copytree(dataset, tmp_path / "out")
     scene = out / "train/000001"
     shutil.copy(scene / "rgb_two/000000.png", scene / "rgb_two/000001.png")
     assert list(rerender(cell, out, 1, seed=3, device="cpu")) == ["rgb_two/000001.png"]
 
 
-def test_save_scene_accepts_all_images_or_none(cell, shots, tmp_path):
+def test_save_scene_accepts_only_all_images_of_a_scene(cell, shots, tmp_path):
     folder = save_scene(cell, shots, tmp_path / "out")
     assert (folder / "rgb_two/000001.png").is_file()
     assert validate(tmp_path / "out") == ()
@@ -153,7 +155,7 @@ def test_save_scene_accepts_all_images_or_none(cell, shots, tmp_path):
         save_scene(cell, shots[0], tmp_path / "other")
 
 
-def test_a_killed_run_of_views_continues_and_gives_the_same_files(dataset, tmp_path):
+def test_a_killed_run_with_views_continues_and_gives_the_same_files(dataset, tmp_path):
     folder = tmp_path / "cell"
     folder.mkdir()
     mounted = [SCANNERS[0], SCANNERS[1] | {"T_first_cam": MOUNT}]
@@ -173,7 +175,7 @@ def test_a_killed_run_of_views_continues_and_gives_the_same_files(dataset, tmp_p
 
 
 @pytest.mark.parametrize("kind", ["adapted", "randomized"])
-def test_a_domain_moves_all_positions_of_a_scene_together(kind, tmp_path):
+def test_a_domain_moves_all_views_of_a_scene_together(kind, tmp_path):
     """Mounted scanners stay in place on the first; frames and code maps of all are checked."""
     domain = {"kind": kind}
     cell = cell_of(

@@ -33,7 +33,7 @@ def middles(cell, T_world_cam):
 
 
 @pytest.mark.slow
-def test_each_view_of_a_list_gives_the_pose_of_the_same_single_view(tmp_path):
+def test_each_view_in_a_list_has_the_pose_of_an_equal_single_view(tmp_path):
     one = {"tilt_deg": 20.0, "azimuth_deg": 50.0}
     cell = resolved(tmp_path, views=[{}, one])
     assert cell.images == (("", 0), ("", 1))
@@ -44,7 +44,7 @@ def test_each_view_of_a_list_gives_the_pose_of_the_same_single_view(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dome_is_uniform_over_its_solid_angle_and_looks_at_the_target(tmp_path):
+def test_dome_views_are_uniform_over_their_solid_angle_and_look_at_the_target(tmp_path):
     """Oracle: equal heights of a sphere have equal areas (Archimedes), so cos(tilt) is uniform."""
     views = {"kind": "dome", "count": 400, "distance_m": [0.8, 1.1], "tilt_deg": [10, 50]}
     cell = resolved(tmp_path, views=views, view={"target_m": [0.01, 0.02, 0.03]})
@@ -63,13 +63,13 @@ def test_a_dome_is_uniform_over_its_solid_angle_and_looks_at_the_target(tmp_path
     assert abs(around.mean()) < 4 / np.sqrt(2 * len(around))
 
 
-def test_poses_are_drawn_from_their_scene_s_own_seed(tmp_path):
+def test_view_poses_are_drawn_from_the_seed_of_their_scene(tmp_path):
     cell = resolved(tmp_path, views={"kind": "dome", "count": 3})
     np.testing.assert_array_equal(poses(cell, seed=7), poses(cell, seed=7))
     assert np.abs(poses(cell, seed=7) - poses(cell, seed=8)).max(axis=(1, 2)).min() > 1e-3
 
 
-def test_a_path_goes_from_the_first_waypoint_to_the_last_at_constant_speed(tmp_path):
+def test_views_on_a_path_are_evenly_spaced_from_the_first_waypoint_to_the_last(tmp_path):
     """A rotation of 90 degrees in 9 steps: 10 degrees and a ninth of the distance each."""
     start = rigid(np.diag([1.0, -1.0, -1.0]), np.array([-0.3, 0.0, 0.9]))
     end = rigid(axis_rotation("z", np.pi / 2) @ start[:3, :3], np.array([0.3, 0.0, 0.9]))
@@ -84,7 +84,7 @@ def test_a_path_goes_from_the_first_waypoint_to_the_last_at_constant_speed(tmp_p
 
 
 @pytest.mark.slow
-def test_a_jitter_has_its_sigma_about_the_view_and_ends_at_three_sigma(tmp_path):
+def test_view_jitter_has_the_stated_sigma_and_is_cut_at_three_sigma(tmp_path):
     """A normal distribution cut at 3 sigma keeps 0.9866 of its standard deviation."""
     views = {"kind": "jitter", "count": 400, "position_m": 0.02, "rotation_deg": 1.5}
     cell = resolved(tmp_path, views=views, view={"tilt_deg": 10})
@@ -99,7 +99,7 @@ def test_a_jitter_has_its_sigma_about_the_view_and_ends_at_three_sigma(tmp_path)
     assert about.std() == pytest.approx(1.5 * 0.9866, rel=4 / np.sqrt(2 * about.size))
 
 
-def test_a_mounted_scanner_keeps_its_pose_on_the_first(tmp_path):
+def test_a_mounted_scanner_keeps_its_pose_relative_to_the_first_scanner(tmp_path):
     cell = resolved(
         tmp_path,
         views={"kind": "dome", "count": 4},
@@ -120,7 +120,7 @@ def test_a_mounted_scanner_keeps_its_pose_on_the_first(tmp_path):
     )
 
 
-def test_scanners_of_the_shelf_are_moved_to_several_poses(tmp_path):
+def test_scanners_of_the_shelf_can_be_moved_together_to_several_poses(tmp_path):
     """Each scanner has its own camera and takes the pose of the first, as on a robot's hand."""
     names = ("like-zivid-2-m70", "like-mech-eye-pro-s")
     views = [{"distance_m": 0.7}, {"distance_m": 0.7, "tilt_deg": 20}]
@@ -140,7 +140,7 @@ def test_scanners_of_the_shelf_are_moved_to_several_poses(tmp_path):
         [{}, {"distance_m": 1.5, "tilt_deg": 45}],
     ],
 )
-def test_depth_pictures_reach_the_bin_from_every_pose_that_may_be_drawn(tmp_path, views):
+def test_the_depth_range_of_files_includes_the_bin_from_every_drawn_pose(tmp_path, views):
     cell = resolved(tmp_path, views=views)
     corners = np.stack(np.meshgrid(*bin_of(cell.scene).bounds_m.T), axis=-1).reshape(-1, 3)
     reach = reach_m(cell)
@@ -150,7 +150,7 @@ def test_depth_pictures_reach_the_bin_from_every_pose_that_may_be_drawn(tmp_path
             assert deepest <= reach + 1e-9
 
 
-def test_the_first_image_has_its_scene_s_seeds_and_all_others_have_their_own():
+def test_the_first_image_uses_the_scene_s_seeds_and_other_images_use_new_seeds():
     scene = scene_seeds(5, 2)
     assert image_seeds(5, 2, station=0, image=0) == {name: scene[name] for name in OF_IMAGE}
     seeds = [
@@ -247,7 +247,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_wrong_view_gives_one_line_that_names_it(tmp_path, name):
+def test_the_error_for_a_wrong_view_is_one_line_that_names_the_view(tmp_path, name):
     sections, must = BAD[name]
     with pytest.raises((ConfigError, GraycastError)) as error:
         resolved(tmp_path, **sections)
@@ -256,7 +256,7 @@ def test_a_wrong_view_gives_one_line_that_names_it(tmp_path, name):
     assert "\n" not in text
 
 
-def test_functions_for_one_image_refuse_a_cell_of_several_images(tmp_path):
+def test_functions_for_one_image_refuse_a_cell_with_several_images(tmp_path):
     one, two = resolved(tmp_path), resolved(tmp_path, views=[{}, {"tilt_deg": 10}])
     refuse_several(one, "graycast rig design")
     with pytest.raises(ConfigError, match="graycast rig design takes one image of a scene: remove"):

@@ -67,7 +67,7 @@ def test_the_pose_of_the_rig_has_the_stated_distributions(records):
     assert np.abs(np.corrcoef(shift.T) - np.eye(3)).max() < 4 / math.sqrt(DRAWS)
 
 
-def test_lamps_have_the_stated_number_and_are_uniform_over_the_sky(records):
+def test_drawn_lamps_have_the_stated_number_and_are_uniform_over_the_sky(records):
     numbers = np.bincount([len(record["lamps"]) for record in records], minlength=5)
     assert stats.chisquare(numbers[2:], np.full(3, DRAWS / 3)).pvalue > P
     assert numbers[:2].sum() == 0
@@ -84,7 +84,7 @@ def test_lamps_have_the_stated_number_and_are_uniform_over_the_sky(records):
     assert is_uniform([lamp["color_temperature_k"] for lamp in lamps], 2700, 6500)
 
 
-def test_light_looks_and_counts_have_the_stated_distributions(records):
+def test_drawn_light_colours_sizes_and_counts_have_the_stated_distributions(records):
     assert is_log_uniform([r["environment"]["radiance"] for r in records], 0.01, 1.0)
     assert is_uniform([r["environment"]["color_temperature_k"] for r in records], 2000, 10000)
     assert is_log_uniform([r["bin"]["size_factor"] for r in records], 0.7, 1.4)
@@ -110,7 +110,7 @@ def test_every_number_of_distractors_is_equally_likely(records):
     assert stats.binomtest(int(each[0]), int(each.sum()), 0.5).pvalue > P
 
 
-def test_distractors_leave_room_for_the_parts():
+def test_distractors_leave_enough_room_for_the_parts():
     scene = cell()
     many = domain(scene, {"kind": "randomized", "count_share": [1, 1],
                           "distractors": {"count": [200, 200]}})  # fmt: skip
@@ -118,7 +118,7 @@ def test_distractors_leave_room_for_the_parts():
     assert sum(record["distractors"].values()) == 5
 
 
-def test_tolerances_are_uniform_in_both_directions_and_independent():
+def test_drawn_tolerances_are_independent_and_uniform_in_each_direction():
     scene = cell()
     settings = {"kind": "adapted", "camera": {"position_m": 0.02, "rotation_deg": 3}}
     settings |= {"bin": {"position_m": 0.05, "rotation_deg": 7}}
@@ -147,7 +147,7 @@ def test_tolerances_are_uniform_in_both_directions_and_independent():
     assert np.abs(np.corrcoef(table.T) - np.eye(22)).max() < 4.5 / math.sqrt(DRAWS)
 
 
-def test_a_change_in_one_section_does_not_change_the_values_of_others():
+def test_changing_one_domain_section_does_not_change_values_drawn_for_others():
     scene = cell()
     own = domain(scene, WIDE)
     ours = draw(own, scene, (5, 5), np.random.default_rng(4))
@@ -159,7 +159,7 @@ def test_a_change_in_one_section_does_not_change_the_values_of_others():
         assert rest == {key: value for key, value in ours.items() if key != name}
 
 
-def test_no_lamp_is_in_the_bin_or_in_the_rig_s_view():
+def test_no_drawn_lamp_is_in_the_bin_or_in_the_rig_s_view():
     scene = cell()
     T, depth_m, cones = scene.T_world_cam, 0.5, views(scene)
     in_view = tuple((T[:3, 3] + depth_m * T[:3, 2]).tolist())
@@ -200,7 +200,7 @@ def is_visible(point_m, T_world_lens, lens):
     return inside & (z > 0)
 
 
-def test_no_point_of_a_drawn_lamp_is_in_a_picture_or_in_the_bin():
+def test_no_point_of_a_drawn_lamp_is_visible_or_inside_the_bin():
     """Oracle: all rotations of the lamp's square, a ball, projected by hand."""
     scene = cell()
     near = {"distance_m": [0.4, 1.5], "elevation_deg": [5, 90], "size_m": [0.1, 0.5]}
@@ -217,7 +217,7 @@ def test_no_point_of_a_drawn_lamp_is_in_a_picture_or_in_the_bin():
 
 
 @pytest.mark.parametrize("size_m", [0.1, 1.0])
-def test_a_lamp_keeps_half_its_diagonal_away_from_the_bin_s_ball(size_m):
+def test_a_lamp_is_in_the_way_if_its_bounding_ball_overlaps_that_around_the_bin(size_m):
     """Bin and lamp touch if the distance of their centres is the sum of their half diagonals."""
     scene = cell()
     low_m, high_m = scene.bin.bounds_m
@@ -228,7 +228,7 @@ def test_a_lamp_keeps_half_its_diagonal_away_from_the_bin_s_ball(size_m):
         assert in_the_way(lamp, scene, ()) == is_in_the_way
 
 
-def test_a_view_is_the_cone_to_the_farthest_corner_and_meets_balls_that_overlap_it():
+def test_a_cone_around_the_whole_picture_decides_if_a_ball_is_in_view():
     """Oracle: the angles of points of balls; balls that almost touch are left out."""
     rig = cell().rig
     scene = cell(rig=replace(rig, camera=replace(rig.camera, cx_px=300.0, cy_px=450.0)))
@@ -253,7 +253,7 @@ def test_a_view_is_the_cone_to_the_farthest_corner_and_meets_balls_that_overlap_
 
 
 @pytest.mark.slow
-def test_lamps_without_a_free_place_are_refused():
+def test_lamps_for_which_no_place_is_free_are_refused():
     scene = cell()
     settings = {"kind": "randomized", "lamps": {"distance_m": [0.1, 0.1], "count": [1, 1]}}
     with pytest.raises(

@@ -17,12 +17,14 @@ from graycast.world.parts import Material
         (60.0, 0.5, 1.0, (255, 255, 128)),
     ],
 )
-def test_a_drawn_colour_is_that_of_a_colour_picker(hue_deg, saturation, value, encoded):
+def test_a_drawn_hsv_colour_equals_the_srgb_colour_of_a_colour_picker(
+    hue_deg, saturation, value, encoded
+):
     color = {"hue_deg": hue_deg, "saturation": saturation, "value": value}
     assert srgb(np.array(color_of(color))).tolist() == list(encoded)
 
 
-def test_a_factor_multiplies_the_linear_values_of_a_picture_up_to_1():
+def test_a_brightness_factor_multiplies_linear_texture_values_up_to_1():
     picture = np.random.default_rng(0).integers(0, 256, (32, 32, 3), dtype=np.uint8)
     brighter = retouched(
         Material(texture=picture), brightness=1.5, roughness=0.0, tint=(1.0, 0.5, 2.0)
@@ -34,7 +36,7 @@ def test_a_factor_multiplies_the_linear_values_of_a_picture_up_to_1():
     assert (same.texture == picture).all()
 
 
-def test_plain_parts_become_brighter_up_to_white_and_rougher_up_to_matt():
+def test_plain_parts_are_brightened_up_to_white_and_roughened_up_to_matt():
     steel = Material(base_color=(0.2, 0.5, 0.8), metallic=1.0, roughness=0.9)
     steel = retouched(steel, brightness=2.0, roughness=0.3, metallic=-0.4)
     assert steel.base_color == pytest.approx((0.4, 1.0, 1.0))
@@ -46,7 +48,7 @@ def test_plain_parts_become_brighter_up_to_white_and_rougher_up_to_matt():
         assert retouched(polished, brightness=1.0, roughness=change).roughness == 0.02
 
 
-def test_at_the_projector_s_line_brightness_matters_and_tint_does_not():
+def test_the_reflectance_for_the_projector_follows_brightness_but_not_tint():
     red = Material(projector_reflectance=0.4)
     tinted = retouched(red, brightness=1.5, roughness=0.0, tint=(0.1, 0.1, 0.1))
     assert tinted.projector_reflectance == pytest.approx(0.6)
@@ -73,7 +75,7 @@ def observer(wavelength_nm):
 
 
 @pytest.mark.parametrize("temperature_k", [2000.0, 2700.0, 4000.0, 4001.0, 6500.0, 15000.0])
-def test_the_light_of_a_temperature_is_planck_s_law_seen_by_the_standard_observer(temperature_k):
+def test_the_colour_of_a_temperature_follows_planck_s_law_and_the_cie_observer(temperature_k):
     """The Gaussians and the cubic fit differ by one or two hundredths."""
     wavelength = np.arange(380.0, 781.0)
     xyz = observer(wavelength) @ planck(wavelength, temperature_k)

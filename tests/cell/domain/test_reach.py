@@ -21,7 +21,7 @@ ADAPTED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("domain", [slow(None), slow("randomized"), ADAPTED])
-def test_no_drawn_view_has_a_larger_depth_of_the_bin_than_the_reach(domain):
+def test_no_drawn_view_puts_the_bin_deeper_than_the_computed_reach(domain):
     settings = {"parts": [{"builtin": "metal_workpiece_1"}], "view": {"tilt_deg": 12}}
     cell = resolve_cell(Config.model_validate(settings | {"domain": domain}), Path("."))
     limit_m, depths_m = deepest_m(cell.config.domain, cell.scene), []

@@ -51,7 +51,7 @@ def random_scenes(tmp_path_factory):
     return dataset_of(tmp_path_factory.mktemp("random") / "cell", 3, domain=RANDOM, count=[4, 8])
 
 
-def test_a_randomized_dataset_is_valid_and_has_no_label_of_distractors(random_scenes):
+def test_a_randomized_dataset_is_valid_and_does_not_label_distractors(random_scenes):
     _, _, out = random_scenes
     assert validate(out) == ()
     claim = json.loads((out / "graycast.json").read_text())
@@ -66,7 +66,7 @@ def test_a_randomized_dataset_is_valid_and_has_no_label_of_distractors(random_sc
         assert {pose["obj_id"] for pose in poses} == {1}
 
 
-def test_distractors_are_visible_in_front_of_the_parts_that_they_hide(random_scenes):
+def test_distractors_are_rendered_in_front_of_the_parts_that_they_hide(random_scenes):
     """Some pixels of the depth picture are above the bin's floor without a visible mask."""
     _, shots, _ = random_scenes
     for shot in shots:
@@ -75,7 +75,7 @@ def test_distractors_are_visible_in_front_of_the_parts_that_they_hide(random_sce
         assert np.isin(truth.instance, foreign).sum() > 20
 
 
-def test_the_manifest_reproduces_the_scene(random_scenes):
+def test_the_manifest_of_a_random_scene_reproduces_the_scene(random_scenes):
     cell, shots, out = random_scenes
     for k, shot in enumerate(shots):
         manifest = json.loads((out / "train" / f"{k:06d}" / "manifest.json").read_text())
@@ -91,7 +91,7 @@ def test_one_seed_gives_one_random_scene(random_scenes, tmp_path):
     assert content(again) == content(out)
 
 
-def test_a_cell_without_tolerances_gives_the_files_of_a_cell_without_a_domain(tmp_path):
+def test_a_domain_without_tolerances_gives_the_same_files_as_no_domain(tmp_path):
     """Only the entries of domain, its seed and configuration differ in claim and manifest."""
     _, _, plain = dataset_of(tmp_path / "plain", 2)
     _, _, exact = dataset_of(tmp_path / "exact", 2, domain=NO_TOLERANCE)

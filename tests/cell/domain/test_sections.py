@@ -15,7 +15,7 @@ def config(domain):
     return Config.model_validate({"parts": [{"builtin": "toothpaste"}], "domain": domain})
 
 
-def test_a_plain_word_gives_the_kind_with_all_its_defaults():
+def test_a_domain_given_by_name_has_all_defaults_of_this_kind():
     assert config("adapted").domain == config({"kind": "adapted"}).domain
     assert config("randomized").domain == config({"kind": "randomized"}).domain
     assert isinstance(config("adapted").domain, AdaptedSection)
@@ -23,7 +23,7 @@ def test_a_plain_word_gives_the_kind_with_all_its_defaults():
     assert config(None).domain is None
 
 
-def test_a_dumped_configuration_is_read_as_the_same_configuration():
+def test_a_written_configuration_is_read_as_the_same_configuration():
     written = {
         "kind": "randomized",
         "camera": None,
@@ -61,7 +61,7 @@ def test_a_dumped_configuration_is_read_as_the_same_configuration():
         ({"kind": "adapted", "bin": {"position_m": -1}}, r"domain\.bin\.position_m is -1"),
     ],
 )
-def test_impossible_values_are_refused_with_the_keys_of_the_file(tmp_path, domain, message):
+def test_impossible_domain_values_are_refused_with_their_keys(tmp_path, domain, message):
     path = tmp_path / "cell.yaml"
     path.write_text(yaml.safe_dump({"parts": [{"builtin": "toothpaste"}], "domain": domain}))
     with pytest.raises(ConfigError, match=rf"{path}: {message}"):
@@ -74,7 +74,7 @@ def folder_of(path, *names):
         (path / name).write_bytes(name.encode())
 
 
-def test_every_file_of_a_domain_has_a_digest_so_that_a_change_is_noticed(tmp_path):
+def test_every_file_of_a_domain_has_a_digest_that_reveals_a_change(tmp_path):
     folder_of(tmp_path / "skies", "b.exr", "a.hdr", "readme.txt")
     folder_of(tmp_path / "wood", "oak.png", "ash.JPG")
     settings = {
@@ -100,7 +100,7 @@ def test_every_file_of_a_domain_has_a_digest_so_that_a_change_is_noticed(tmp_pat
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_a_folder_that_is_missing_or_empty_is_named(tmp_path, exists):
+def test_the_error_for_a_missing_or_empty_folder_names_the_folder(tmp_path, exists):
     if exists:
         folder_of(tmp_path / "skies", "license.txt")
     settings = {"kind": "randomized", "environment": {"maps": "skies"}}
@@ -109,7 +109,7 @@ def test_a_folder_that_is_missing_or_empty_is_named(tmp_path, exists):
         file_digests(load_config(path), tmp_path)
 
 
-def test_an_additional_stream_does_not_change_the_others():
+def test_an_additional_seed_stream_does_not_change_the_other_seeds():
     """There were five seeds of a scene's stages; the domain's is a sixth."""
     for seed, scene_id in ((0, 0), (7, 123), (2**40, 99999)):
         sequence = np.random.SeedSequence(seed, spawn_key=(scene_id,))

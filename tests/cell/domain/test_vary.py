@@ -60,7 +60,7 @@ def full(tmp_path):
     return scene, domain(scene, settings, tmp_path)
 
 
-def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
+def test_the_record_of_a_random_scene_reproduces_the_scene(full):
     """The record passes the bytes of a manifest: drawn values that it omits would be missing."""
     scene, own = full
     places = set()
@@ -78,7 +78,7 @@ def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
     assert not changed & {".rig", ".surfaces", ".bin.friction", ".bin.wall_m"}
 
 
-def test_a_kind_of_part_remains_however_small_its_share():
+def test_at_least_one_part_of_each_kind_remains_however_small_the_share():
     """Computed by hand: a fifth of 40, 7, 1 and 0, rounded, but at least one part of each kind."""
     assert shared_out((40, 7, 1, 0), 0.2) == (8, 1, 1, 0)
 
@@ -99,7 +99,7 @@ def test_a_repainted_surface_keeps_nothing_of_its_old_material(full):
     assert varied.bin.material.roughness == record["bin"]["roughness"]
 
 
-def test_a_drawn_map_has_the_drawn_radiance_and_not_its_own(full):
+def test_an_environment_map_gets_the_drawn_radiance_instead_of_its_own(full):
     """The record has the brightness of the sky; the file of the map has its distribution."""
     scene, own = full
     record = draw(own, scene, (7, 7), np.random.default_rng(1))
@@ -109,7 +109,7 @@ def test_a_drawn_map_has_the_drawn_radiance_and_not_its_own(full):
     assert sky.map_file.name == record["environment"]["map"]
 
 
-def test_a_mesh_bin_is_scaled_and_painted_like_a_box(full, tmp_path):
+def test_a_mesh_bin_is_scaled_and_painted_like_a_box_bin(full, tmp_path):
     scene, own = full
     crate = replace(Crate().bin(tmp_path), own_texture=True)
     scene = replace(scene, bin=crate)
@@ -123,7 +123,7 @@ def test_a_mesh_bin_is_scaled_and_painted_like_a_box(full, tmp_path):
     assert not box.own_texture
 
 
-def test_the_record_of_an_adapted_scene_makes_the_same_scene_again():
+def test_the_record_of_an_adapted_scene_reproduces_the_scene():
     scene = textured()
     own = domain(scene, "adapted")
     record = draw(own, scene, (7, 0), np.random.default_rng(3))
@@ -134,7 +134,7 @@ def test_the_record_of_an_adapted_scene_makes_the_same_scene_again():
     assert differences(scene, once.scene) != []
 
 
-def test_without_any_tolerance_the_scene_equals_the_cell_in_every_bit():
+def test_a_scene_without_any_tolerance_equals_the_cell_in_every_bit():
     """Even the sign of a zero is kept, which a product with the identity would lose."""
     down = -np.diag([-1.0, 1.0, 1.0, -1.0])
     down[2, 3] = 0.8
@@ -150,7 +150,7 @@ def test_without_any_tolerance_the_scene_equals_the_cell_in_every_bit():
         assert differences(scene, vary(own, scene, (7, 0), record).scene) != [], section
 
 
-def test_if_every_section_is_null_only_the_counts_change():
+def test_a_domain_whose_sections_are_null_varies_only_the_counts():
     scene = cell()
     names = ("camera", "environment", "lamps", "bin", "table", "parts", "distractors")
     own = domain(scene, {"kind": "randomized"} | dict.fromkeys(names))
@@ -161,7 +161,7 @@ def test_if_every_section_is_null_only_the_counts_change():
     assert 20 <= varied.counts[0] <= 40
 
 
-def test_tilt_azimuth_and_distance_are_added_to_those_of_the_view():
+def test_drawn_tilt_azimuth_and_distance_modify_the_configured_view():
     """Oracle: `place` with the sums gives the pose of the record's camera."""
     scene = cell()
     own = domain(scene, {"kind": "randomized", "bin": None})
@@ -179,7 +179,7 @@ def test_tilt_azimuth_and_distance_are_added_to_those_of_the_view():
     assert pose == pytest.approx(expected, abs=1e-12)
 
 
-def test_roll_rotates_the_rig_about_its_own_axis_without_moving_it():
+def test_drawn_roll_rotates_the_rig_about_its_axis_without_moving_the_rig():
     scene = cell()
     own = domain(scene, {"kind": "randomized", "bin": None})
     record = {"kind": "randomized", "camera": STILL | {"roll_rad": 0.3}, "count_share": 1.0,
@@ -192,7 +192,7 @@ def test_roll_rotates_the_rig_about_its_own_axis_without_moving_it():
     assert turn == pytest.approx(axis_rotation("z", 0.3), abs=1e-12)
 
 
-def test_a_moved_bin_moves_the_rest_of_the_world_the_other_way():
+def test_moving_the_bin_moves_the_rest_of_the_world_in_the_opposite_direction():
     """The world's origin is on the bin's floor; relative to the cell, camera and lamps stay."""
     scene = replace(cell(), environment=replace(cell().environment, rotation_rad=0.4))
     own = domain(scene, {**NO_TOLERANCE, "bin": {"position_m": 0.05, "rotation_deg": 20}})
@@ -254,7 +254,7 @@ def test_a_lamp_gives_the_stated_irradiance(share, less):
     assert np.arcsin(away[2] / 1.6) == pytest.approx(0.7)
 
 
-def test_distractors_come_last_and_have_no_label(full):
+def test_distractors_follow_the_parts_and_have_no_label(full):
     scene, own = full
     record = draw(own, scene, (3, 4), np.random.default_rng(0))
     varied = vary(own, scene, (3, 4), record)
@@ -265,7 +265,7 @@ def test_distractors_come_last_and_have_no_label(full):
     assert sum(varied.counts[2:]) >= 1
 
 
-def test_a_distractor_that_is_a_part_of_the_cell_is_refused_or_left_out():
+def test_a_distractor_that_equals_a_part_of_the_cell_is_refused_or_omitted():
     scene = cell()
     part = replace(scene.parts[0], name="metal_workpiece_1")
     scene = replace(scene, parts=(part,))
@@ -276,13 +276,15 @@ def test_a_distractor_that_is_a_part_of_the_cell_is_refused_or_left_out():
         domain(scene, settings)
 
 
-def test_default_distractors_that_are_too_large_for_the_bin_are_left_out():
+def test_default_distractors_that_are_too_large_for_the_bin_are_omitted():
     scene = cell()
     scene = replace(scene, bin=replace(scene.bin, inner_m=(0.4, 0.11, 0.1)))
     assert [part.name for part in domain(scene, "randomized").distractors] == ["metal_workpiece_2"]
 
 
-def test_files_are_sorted_by_name_whatever_the_order_on_disk(full, monkeypatch, tmp_path):
+def test_files_of_a_domain_are_sorted_by_name_whatever_their_order_on_disk(
+    full, monkeypatch, tmp_path
+):
     own = full[1]
     assert [file.name for file in own.maps] == ["a.exr", "b.hdr"]
     listed = Path.iterdir
@@ -291,7 +293,7 @@ def test_files_are_sorted_by_name_whatever_the_order_on_disk(full, monkeypatch, 
     assert (again.maps, again.bin_textures) == (own.maps, own.bin_textures)
 
 
-def test_a_file_that_the_domain_no_longer_has_is_named(full):
+def test_the_error_for_a_file_missing_from_the_domain_names_the_file(full):
     scene, own = full
     record = draw(own, scene, (1, 1), np.random.default_rng(0))
     record["environment"]["map"] = "gone.exr"

@@ -21,13 +21,13 @@ needs_ray = pytest.mark.skipif(not RAY.exists(), reason="Ray is missing: pip ins
 PORT = 46379
 
 
-def test_an_address_without_ray_is_refused(config_file, tmp_path, capsys):
+def test_a_cluster_address_without_the_ray_engine_is_refused(config_file, tmp_path, capsys):
     out = str(tmp_path / "out")
     assert main(["generate", str(config_file), "--out", out, "--address", "127.0.0.1:1"]) == 1
     assert "--address applies only to a Ray cluster: add --engine ray" in capsys.readouterr().err
 
 
-def test_if_ray_is_not_installed_the_error_has_the_remedy(
+def test_the_error_without_an_installed_ray_names_the_remedy(
     config_file, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, "ray", None)
@@ -54,7 +54,9 @@ def test_all_processors_of_a_cluster_share_its_gpus(resources, threads, scenes_o
 
 
 @pytest.mark.slow
-def test_a_cluster_that_does_not_answer_is_named(config_file, tmp_path, capsys):
+def test_the_error_for_a_cluster_that_does_not_answer_names_its_address(
+    config_file, tmp_path, capsys
+):
     command = ["generate", str(config_file), "--out", str(tmp_path / "out"), "--engine", "ray"]
     assert main([*command, "--address", "127.0.0.1:9"]) == 1
     message = capsys.readouterr().err
@@ -111,7 +113,7 @@ SCENES = 60
 
 @pytest.mark.slow
 @needs_ray
-def test_a_node_that_is_lost_during_a_run_loses_no_scene(
+def test_losing_a_cluster_node_during_a_run_loses_no_scene(
     cluster, config_file, undisturbed, tmp_path
 ):
     address, lost = cluster

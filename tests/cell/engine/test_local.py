@@ -60,7 +60,7 @@ class WorkerOf:
         self.ended = True
 
 
-def test_a_scene_that_exceeds_a_worker_s_memory_is_warned_of_once_with_a_remedy(monkeypatch):
+def test_a_scene_beyond_a_worker_s_memory_causes_one_warning_with_a_remedy(monkeypatch):
     """Four workers share 0.8 of 20 GB; a process that used 5 GB for one scene would do so again."""
     monkeypatch.setattr(local_module, "_machine_memory_bytes", lambda: 20e9)
     messages = []
@@ -94,7 +94,7 @@ def test_only_gpus_that_the_user_allows_are_used(monkeypatch):
     assert list_gpus() == []
 
 
-def test_workers_share_threads_and_gpus(task, monkeypatch):
+def test_threads_and_gpus_are_divided_among_the_workers(task, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6")
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: range(9))
     pool = LocalPool(
@@ -111,7 +111,7 @@ def test_workers_share_threads_and_gpus(task, monkeypatch):
     assert {variables["OIDN_SET_AFFINITY"] for variables in environments} == {"0"}
 
 
-def test_ctrl_c_while_a_worker_starts_takes_effect_afterwards():
+def test_ctrl_c_during_the_start_of_a_worker_takes_effect_after_the_start():
     with pytest.raises(KeyboardInterrupt):
         with _deaf_to_interrupts():
             signal.raise_signal(signal.SIGINT)
@@ -135,7 +135,7 @@ def test_ctrl_c_does_not_reach_the_first_worker_of_a_program():
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_while_it_sends_its_scene_does_not_block_the_run():
+def test_killing_a_worker_that_is_sending_its_scene_does_not_block_the_run():
     pool, outcomes = LocalPool(HeavyJob(seed=0, device="cpu"), workers=1, threads=1), []
     try:
         pool.submit(0)
@@ -155,7 +155,7 @@ def test_a_worker_that_is_killed_while_it_sends_its_scene_does_not_block_the_run
 
 
 @pytest.mark.slow
-def test_a_killed_worker_is_replaced_and_its_scene_is_made_again(task):
+def test_the_scene_of_a_killed_worker_is_made_again_by_a_new_worker(task):
     pool = LocalPool(task, workers=1, threads=1)
     try:
         outcomes = []
@@ -212,7 +212,9 @@ def test_workers_end_with_the_run_that_started_them(config_file, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("word", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_run_leaves_no_process_or_file_behind(config_file, tmp_path, monkeypatch, word):
+def test_a_stopped_run_leaves_behind_no_process_and_no_file(
+    config_file, tmp_path, monkeypatch, word
+):
     out, temporary = tmp_path / "out", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
@@ -239,7 +241,9 @@ SCENES, WORKER_KILLS, RUN_KILLS = 40, 8, 3
 
 
 @pytest.mark.slow
-def test_killed_workers_and_killed_runs_give_the_same_dataset(config_file, undisturbed, tmp_path):
+def test_killing_workers_or_runs_does_not_change_the_finished_dataset(
+    config_file, undisturbed, tmp_path
+):
     """`kill -9` hits a random worker 8 times and the whole run 3 times during its work."""
     rng, out = np.random.default_rng(5), tmp_path / "out"
     command = ("generate", config_file, "--out", out, "--scenes", SCENES, "--workers", 2)
@@ -273,7 +277,7 @@ def test_killed_workers_and_killed_runs_give_the_same_dataset(config_file, undis
 
 
 @pytest.mark.slow
-def test_a_scene_whose_worker_is_killed_each_time_is_given_up(task):
+def test_a_scene_is_given_up_if_its_worker_is_killed_each_time(task):
     pool, stop = LocalPool(task, workers=1, threads=1), threading.Event()
 
     def killer():

@@ -46,19 +46,19 @@ def opened_for(task, monkeypatch, *errors):
 
 
 @pytest.mark.parametrize("error", [DropError("no rest"), DecodeError("dark"), ValueError("black")])
-def test_a_scene_s_own_error_leaves_the_renderer_open(task, monkeypatch, error):
+def test_an_expected_error_of_a_scene_leaves_the_renderer_open(task, monkeypatch, error):
     assert opened_for(task, monkeypatch, error, error, error) == [0, 0, 0]
 
 
 @pytest.mark.parametrize(
     "error", [RuntimeError("driver lost"), MemoryError(), DeviceError("gone"), KeyboardInterrupt()]
 )
-def test_after_an_unforeseen_error_the_renderer_is_opened_again(task, monkeypatch, error):
+def test_the_renderer_is_opened_again_after_an_unforeseen_error(task, monkeypatch, error):
     """The old one may have a lost device, or half of a scene."""
     assert opened_for(task, monkeypatch, error, DropError("no rest"), error) == [0, 1, 1]
 
 
-def test_a_job_for_another_device_is_otherwise_the_same(task):
+def test_a_task_moved_to_another_device_keeps_all_other_values(task):
     """Workers of a cluster receive such a job; another seed or cell would give other scenes."""
     there = replace(task, device="cuda")
     assert isinstance(there, SceneTask) and (there.device, task.device) == ("cuda", "cpu")

@@ -56,14 +56,14 @@ def outcomes(script=()):
     return done, [o for o in all_of_them if isinstance(o, Failed)], pool.submitted
 
 
-def test_each_scene_is_made_once():
+def test_each_scene_is_made_exactly_once():
     done, failed, submitted = outcomes()
     assert (done, failed) == (list(IDS), [])
     assert set(submitted.values()) == {1}
 
 
 @pytest.mark.parametrize("error", [WorkerDied("killed"), DeviceError("lost"), MemoryError()])
-def test_an_error_that_may_be_the_machine_s_fault_is_tried_again(error):
+def test_a_scene_whose_error_may_be_the_machine_s_fault_is_tried_again(error):
     done, failed, submitted = outcomes({4: [error] * 2, 19: [error]})
     assert done == list(IDS)
     assert [(f.scene_id, f.tries, f.final) for f in failed] == [
@@ -74,7 +74,7 @@ def test_an_error_that_may_be_the_machine_s_fault_is_tried_again(error):
     assert (submitted[4], submitted[19], submitted[5]) == (3, 2, 1)
 
 
-def test_three_failures_give_up_one_scene_and_no_other():
+def test_three_failures_of_a_scene_give_up_only_this_scene():
     done, failed, submitted = outcomes({4: [WorkerDied("killed")] * 9})
     assert done == [scene_id for scene_id in IDS if scene_id != 4]
     assert [f.final for f in failed] == [False, False, True]
@@ -88,7 +88,7 @@ def test_a_scene_that_would_fail_again_is_given_up_at_once(error):
     assert submitted[4] == 1
 
 
-def test_a_machine_that_loses_scene_after_scene_ends_the_run():
+def test_losing_scene_after_scene_ends_the_run():
     """Its driver is lost after six scenes; with three workers, 13 scenes in a row fail."""
     results = []
     lost = {scene_id: [DeviceError("no driver")] * 9 for scene_id in range(6, 40)}
@@ -108,7 +108,7 @@ def test_scenes_that_are_lost_occasionally_do_not_end_a_run():
     assert sum(isinstance(o, TaskResult) for o in outcomes) == 80
 
 
-def test_an_unknown_engine_is_refused(task):
+def test_an_unknown_engine_for_workers_is_refused(task):
     with pytest.raises(ValueError, match="no engine 'slurm': choose 'local' or 'ray'"):
         open_pool(task, Workers(engine="slurm", count=2), scenes=2)
 
@@ -134,7 +134,7 @@ def handed(monkeypatch, script, ids=IDS, before=1):
     return [one.scene_id for one in results], [one.scene_id for one in failed], lost, pool
 
 
-def test_scenes_that_are_given_up_are_reported_after_the_others_are_made(monkeypatch):
+def test_abandoned_scenes_are_reported_after_all_other_scenes_are_made(monkeypatch):
     script = {9: [KeyError("a bug")] * 3, 4: [DropError("no\nrest")], 7: [MemoryError()]}
     done, failed, lost, pool = handed(monkeypatch, script)
     assert sorted(done) == [scene_id for scene_id in IDS if scene_id not in (4, 9)]
@@ -145,7 +145,7 @@ def test_scenes_that_are_given_up_are_reported_after_the_others_are_made(monkeyp
     assert first.traceback == "" and "KeyError: 'a bug'" in second.traceback
 
 
-def test_a_device_that_is_lost_for_a_moment_costs_no_scene(monkeypatch):
+def test_a_device_that_fails_only_briefly_costs_no_scene(monkeypatch):
     """A rescan used to end at the first such error, while `generate` tried three times."""
     script = {19: [DeviceError("lost")] * 2, 4: [DeviceError("lost")]}
     done, failed, lost, _ = handed(monkeypatch, script, before=0)
@@ -155,7 +155,7 @@ def test_a_device_that_is_lost_for_a_moment_costs_no_scene(monkeypatch):
 @pytest.mark.parametrize(
     "error", [ConfigError("the tool fits round no part"), DropError("no rest")]
 )
-def test_if_no_scene_succeeds_the_third_that_is_given_up_ends_the_run(monkeypatch, error):
+def test_the_third_abandoned_scene_ends_a_run_in_which_no_scene_succeeded(monkeypatch, error):
     script = {scene_id: [error] for scene_id in IDS}
     done, failed, lost, pool = handed(monkeypatch, script, before=0)
     assert (done, len(failed), lost, pool.closed) == ([], 2, error, True)
@@ -168,7 +168,7 @@ def test_an_unforeseen_error_is_raised_with_its_type(monkeypatch):
     assert str(lost) == "KeyError 'a bug': this is an error in Graycast or in the machine"
 
 
-def test_if_other_scenes_succeeded_those_that_fail_are_set_aside(monkeypatch):
+def test_failing_scenes_are_set_aside_if_other_scenes_succeeded(monkeypatch):
     errors = [DropError("no rest"), DropError("none either")]
     script = {0: [errors[0]], 1: [errors[1]]}
     _, failed, lost, pool = handed(monkeypatch, script, ids=(0, 1))

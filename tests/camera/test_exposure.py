@@ -33,7 +33,7 @@ def test_two_light_levels_get_the_fewest_exposures_that_their_ratio_needs(ratio,
         assert ((level > 0.1 - 1e-6) & (level < 0.8 + 1e-6)).any()
 
 
-def test_light_of_one_level_gets_one_exposure_that_brings_it_to_the_target():
+def test_light_of_a_single_level_gets_one_exposure_at_its_target():
     times = exposure_times(np.full(100, 3.0, np.float32), SENSOR, replace(AUTO, target=0.6))
     assert levels(3.0, times) == pytest.approx([0.6])
     assert times.reference_s == times.times_s[0]

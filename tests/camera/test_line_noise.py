@@ -63,7 +63,7 @@ def test_the_renderer_returns_the_projector_line_that_lights_each_pixel(scanner,
     )
 
 
-def test_a_glint_does_not_remove_the_noise_of_other_pixels(scanner, radiance):
+def test_a_glint_does_not_change_the_line_noise_of_other_pixels(scanner, radiance):
     """Law: light adds pixel by pixel, so a facet that mirrors the projector, 26,000 times as bright
     as white paper, changes no other pixel at a fixed exposure.
     """

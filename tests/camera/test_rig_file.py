@@ -204,7 +204,7 @@ def test_the_error_for_a_calibration_without_distortion_lists_its_keys(tmp_path)
     assert "projector" in projector and "holds nothing else" in projector
 
 
-def test_a_projector_that_faces_away_is_refused(tmp_path):
+def test_a_projector_that_faces_away_from_the_scene_is_refused(tmp_path):
     """After half a turn about y, the projector faces away from all that the camera sees."""
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
@@ -216,7 +216,7 @@ def test_a_projector_that_faces_away_is_refused(tmp_path):
         load_scanner(tmp_path / "rig.yaml")
 
 
-def test_a_camera_of_200_000_pixels_is_refused(tmp_path):
+def test_a_camera_that_is_200_000_pixels_wide_is_refused(tmp_path):
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
     content["camera"]["width_px"] = 200_000
@@ -228,9 +228,7 @@ def test_a_camera_of_200_000_pixels_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("scale", "unit", "metres"), [(1, None, 1e-3), (1, "mm", 1e-3), (1e-3, None, 1), (1e-3, "m", 1)]
 )
-def test_the_calibration_unit_is_stated_or_follows_from_the_length_of_t(
-    tmp_path, scale, unit, metres
-):
+def test_the_unit_is_stated_or_inferred_from_the_length_of_t(tmp_path, scale, unit, metres):
     T = (np.array(CALIBRATION["T"]) * scale).tolist()
     rig = read(write(tmp_path / "c.yaml", CALIBRATION | {"T": T}), unit=unit)
     assert rig.baseline_m == pytest.approx(np.linalg.norm(T) * metres)
@@ -472,7 +470,7 @@ def test_binary_data_and_a_folder_are_refused_as_a_rig_file(tmp_path):
         load_scanner(tmp_path)
 
 
-def test_a_rig_is_not_saved_into_a_missing_folder(tmp_path):
+def test_saving_a_rig_into_a_missing_folder_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="cannot be written"):
         save_scanner(preset("paper"), tmp_path / "gone" / "rig.yaml")
     assert list(tmp_path.iterdir()) == []

@@ -93,7 +93,7 @@ def test_errors_of_a_binary_code_are_below_half_a_column(rig, shots, codec):
 
 
 @pytest.mark.slow
-def test_phases_are_ten_times_more_precise_than_plain_gray_code(rig, mitsuba_renderer):
+def test_phase_codes_are_ten_times_more_precise_than_plain_gray_code(rig, mitsuba_renderer):
     """On a well exposed wall, the noise of phases falls with the light; Gray code's does not."""
     scene = in_camera(rig, leaning_wall((0.25, 0.15, 1.0), DISTANCE_M, lambert(0.8), half_m=0.4))
     rms_m = {}

@@ -68,9 +68,7 @@ def test_speckle_errors_on_black_and_white_surfaces_agree_with_sigma(scanner, li
 
 
 @pytest.mark.slow
-def test_an_uneven_finish_lengthens_the_tails_of_noise_without_adding_power(
-    scanner, light, monkeypatch
-):
+def test_an_uneven_finish_gives_noise_longer_tails_and_no_more_power(scanner, light, monkeypatch):
     """Noise of log-normal amplitude has the kurtosis `3 exp(4 u^2)` and unchanged power, which
     sigma states; the noise of photons is even.
     """
@@ -142,7 +140,7 @@ def test_all_frames_of_a_capture_share_one_speckle_pattern_and_captures_differ(
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.06
 
 
-def test_ambient_light_has_no_speckle(scanner, light):
+def test_ambient_light_causes_no_speckle(scanner, light):
     """All light is ambient and strong: only the noise of photons is left."""
     radiance = light[0.03].radiance
     dark = {name: getattr(radiance, name) for name in radiance.__dataclass_fields__}
@@ -152,7 +150,7 @@ def test_ambient_light_has_no_speckle(scanner, light):
     assert white.std() == pytest.approx(noise_dn, rel=0.05)
 
 
-def test_raster_noise_falls_with_reflectance_as_speckle_does(scanner, light):
+def test_raster_noise_decreases_with_reflectance_like_speckle(scanner, light):
     """Both come from uneven light, so a reflectance R has `1 / sqrt(1 + volume 2R / (1 - R^2))` of
     a black surface's. The wall leans away from the projector, so it seems darker by the cosine.
     """

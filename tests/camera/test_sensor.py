@@ -144,7 +144,7 @@ def test_noise_is_independent_between_frames_neighbours_and_seeds(mean_e):
     assert abs(correlation(squares[0], squares[1])) < 4
 
 
-def test_one_seed_gives_one_picture_and_seed_zero_is_a_seed_like_any_other():
+def test_one_seed_gives_one_picture_and_zero_is_an_ordinary_seed():
     for seed in (0, 1):
         assert np.array_equal(frames_of(50.0, seed=seed), frames_of(50.0, seed=seed))
     assert (frames_of(50.0, seed=0) != frames_of(50.0, seed=1)).mean() > 0.9
@@ -162,7 +162,7 @@ def test_the_number_of_threads_does_not_change_the_picture():
     assert all(np.array_equal(pictures[0], other) for other in pictures)
 
 
-def test_a_larger_stack_has_the_frames_of_a_smaller_one():
+def test_adding_frames_to_a_stack_does_not_change_earlier_frames():
     """Frame k has its own random numbers, whatever comes after it."""
     assert np.array_equal(frames_of(80.0, frames=5)[:3], frames_of(80.0, frames=3))
 
@@ -190,7 +190,7 @@ def test_electrons_follow_from_radiance_exposure_and_background():
 
 
 @pytest.mark.parametrize("mean_e", [0.0, 500.0])
-def test_dark_current_adds_electrons_in_proportion_to_time(mean_e):
+def test_dark_current_adds_electrons_in_proportion_to_exposure_time(mean_e):
     spec = sensor(dark_current_e_s=40.0)
     radiance = np.full((1, SIDE, SIDE), mean_e / spec.responsivity / 2.5, dtype=np.float32)
     dn = expose(radiance, None, spec, exposure_s=2.5, seed=1).frames
@@ -247,7 +247,7 @@ def test_counts_near_the_full_well_follow_a_clipped_normal_law(mean_e):
 @pytest.mark.parametrize(
     ("bits", "dtype"), [(12, np.uint16), (8, np.uint8), (1, np.uint8), (16, np.uint16)]
 )
-def test_a_saturated_converter_stores_its_largest_number(bits, dtype):
+def test_a_saturated_converter_gives_its_largest_number(bits, dtype):
     converter = sensor(bit_depth=bits, offset_dn=min(100.0, 2.0**bits - 2))
     dn = frames_of(1e5, converter)
     assert dn.dtype == dtype and (dn == 2**bits - 1).all()
@@ -294,7 +294,7 @@ def test_the_fixed_pattern_is_equal_in_all_captures_with_one_sensor():
 
 
 @pytest.mark.parametrize(("mean_e", "fixed"), [(5000.0, {"prnu": 0.02}), (0.0, {"dsnu_e": 30.0})])
-def test_noise_is_independent_of_the_fixed_pattern_even_if_both_have_the_same_seed(mean_e, fixed):
+def test_noise_and_fixed_pattern_are_independent_even_with_one_seed(mean_e, fixed):
     """The pattern is measured in many frames of another capture; frame 0 minus it is the noise."""
     spec = sensor(read_noise_e=10.0, fpn_seed=5, **fixed)
     pattern = pattern_of(mean_e, spec, seed=6)
@@ -336,7 +336,7 @@ def test_three_exposures_cover_a_scene_of_2000_to_1():
         assert abs(signal.mean() / signal.std() / ratio - 1) < 6 * math.sqrt(0.5 / len(signal))
 
 
-def test_all_frames_of_a_pixel_are_from_one_exposure():
+def test_all_frames_of_a_merged_pixel_are_from_one_exposure():
     """For one of three values, only the second frame saturates in the longest exposure."""
     full = stored_saturation_dn(PLAIN)
     values = {1.0: (10, 20), 2.0: (20, 40), 4.0: (40, full)}
@@ -391,7 +391,7 @@ def test_automatic_exposure_refuses_a_dark_picture():
 
 
 @pytest.mark.parametrize("exposure_s", [0.0, -1.0, math.inf, math.nan])
-def test_impossible_exposures_are_refused(exposure_s):
+def test_impossible_exposure_settings_are_refused(exposure_s):
     with pytest.raises(ValueError, match="exposure_s"):
         expose(np.ones((1, 2, 2)), None, PLAIN, exposure_s=exposure_s, seed=0)
 

@@ -79,7 +79,7 @@ def variance_m2(scanner, capture, *, noise=None):
     return np.square(depth.sigma_m.astype(np.float64))[INNER]
 
 
-def test_the_terms_of_the_variance_add_up_to_the_total(scanner, capture):
+def test_the_terms_of_sigma_s_variance_add_up_to_the_total(scanner, capture):
     """Law: variances of independent terms add. The pictures are the same in all five runs, so only
     the scanner's settings differ. The medians leave out the few pixels where noise looks like a
     bend, whose threshold depends on all other terms.
@@ -136,7 +136,7 @@ def test_the_variance_from_the_raster_follows_its_law(scanner, capture):
     )
 
 
-def test_the_stated_noise_agrees_with_the_scatter_of_captures(scanner, radiance):
+def test_the_stated_sigma_agrees_with_the_scatter_of_captures(scanner, radiance):
     """The sensor's term: several captures of one light scatter by the sigma of each."""
     scans = [
         measure(scanner, take(scanner, radiance, seed=seed), path_noise=None)[1]

@@ -34,7 +34,7 @@ def field(contrast, *, sensor=RED, seed=1):
 
 
 @pytest.mark.parametrize("sensor", [RED, FINE])
-def test_the_number_of_speckles_per_pixel_agrees_with_goodman(sensor):
+def test_the_number_of_speckles_per_pixel_follows_goodman_s_formula(sensor):
     """Goodman 2007: M of a square in Gaussian speckle, by the ratio of areas r = Sm / Sc:
     `sqrt(1/r) erf(sqrt(pi r)) - (1 - exp(-pi r)) / (pi r)`, and M is one over its square.
     """

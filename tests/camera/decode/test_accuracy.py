@@ -217,7 +217,7 @@ def test_gray_bits_are_decoded_without_white_and_black_frames():
     assert np.argwhere(~known).tolist() == [[41, 41]]
 
 
-def test_a_code_with_wide_values_that_start_inside_the_picture_is_decoded():
+def test_a_code_with_an_offset_and_a_stride_is_decoded():
     """Values are 3 px wide from pixel 10 on; a position is the centre of its value."""
     small = gray(16, 16, axes=("column",))
     code = Code(
@@ -233,7 +233,7 @@ def test_a_code_with_wide_values_that_start_inside_the_picture_is_decoded():
     assert np.allclose(codes.sigma_column, 3 / np.sqrt(12))
 
 
-def test_a_full_gray_code_counts_periods_without_a_complementary_bit():
+def test_gray_bits_to_single_columns_need_no_complementary_bit_with_phases():
     fine = gray(128, 96, axes=("column",))
     phase = [f for f in gray_phase(128, 96, period_px=20.0).frames if f.kind == "phase"]
     code = replace(fine, frames=(*fine.frames, *phase))
@@ -260,7 +260,7 @@ def as_complementary(code):
 
 @pytest.mark.parametrize("power", [1.0, 2.2])
 @pytest.mark.parametrize("state", [lambda code: code, as_complementary])
-def test_wide_gray_cells_and_two_phases_together_give_the_position(power, state):
+def test_wide_gray_cells_and_two_phases_together_determine_the_position(power, state):
     """Places with equal phases are 200 px apart, and the cells of 100 px are wider than the shorter
     period. If light is a power p of the grey level, the cosine's second harmonic is (p - 1) / (p +
     2) of the first; it moves the phase of three steps by a sine of this amplitude.

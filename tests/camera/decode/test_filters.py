@@ -74,7 +74,7 @@ def test_filters_that_are_off_change_no_depth_and_no_filter_fills_a_hole():
     assert np.array_equal(gone, np.isnan(filtered.sigma_m))
 
 
-def test_maps_of_different_sizes_are_refused():
+def test_a_depth_map_of_another_size_or_without_sigma_is_refused():
     narrow = Optics(width_px=200, height_px=200, fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0)
     with pytest.raises(ValueError, match="240 x 200 px, the rig's camera 200 x 200"):
         filter_depth(depth_map(plane()), ALL, replace(RIG, camera=narrow))

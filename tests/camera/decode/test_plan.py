@@ -100,7 +100,7 @@ def test_the_error_for_undecodable_frames_names_the_missing_ones(code, message):
 
 
 @pytest.mark.parametrize("code", [GRAY, PHASE, multi_frequency(128, 96), micro_phase(128, 96)])
-def test_the_built_in_codes_can_be_decoded(code):
+def test_every_built_in_code_can_be_decoded(code):
     assert set(plan_axes(code, fine_bits=3)) == {"column"}
 
 

@@ -202,7 +202,7 @@ def test_an_undecoded_pixel_is_saturated_only_if_a_frame_in_use_is_saturated():
 
 
 @pytest.mark.parametrize("inverses", [False, True])
-def test_bright_metal_is_decoded_where_only_its_gray_bits_are_saturated(inverses):
+def test_bright_metal_is_decoded_if_only_its_gray_bits_are_saturated(inverses):
     """White light is 0.5 to 1.6 of the range; a lens out of focus lowers the peak of the phases to
     0.93 of white. Where no phase is saturated, all pixels are decoded, and correctly.
     """
@@ -265,7 +265,7 @@ def test_a_doubtful_coarse_bit_far_from_its_edges_is_interreflection():
     assert one_pixel(code, at=5, change=doubt) is Reason.INTERREFLECTION
 
 
-def test_a_bit_that_counts_periods_must_not_be_in_doubt_inside_a_period():
+def test_a_doubtful_period_bit_is_refused_inside_a_period_but_not_at_its_border():
     """It may be in doubt at the border of a period, where the phase tells the side."""
     code = gray_phase(256, 64, period_px=16.0)
 
@@ -278,7 +278,7 @@ def test_a_bit_that_counts_periods_must_not_be_in_doubt_inside_a_period():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("inverses", [False, True])
-def test_a_phase_may_be_an_eighth_of_a_period_outside_its_gray_cell(inverses):
+def test_a_phase_up_to_an_eighth_of_a_period_outside_its_cell_is_decoded(inverses):
     """Cells are half a period, 8 px: a phase within 6 px of a cell's middle belongs to it.
 
     The Gray bits are unchanged and the cosines are moved, as by indirect light.
@@ -304,7 +304,7 @@ def test_a_phase_may_be_an_eighth_of_a_period_outside_its_gray_cell(inverses):
 @pytest.mark.parametrize(
     ("off_rad", "reason"), [(0.14, Reason.DECODED), (0.18, Reason.CONTRADICTORY)]
 )
-def test_phases_that_differ_by_three_deviations_are_contradictory(off_rad, reason):
+def test_phases_that_disagree_by_three_deviations_are_contradictory(off_rad, reason):
     """Deviations are 0.05 rad (model) and 0.016 rad (noise): three of them are 0.158 rad.
 
     The two longer periods are moved against the shortest, which gives the position in a period.
@@ -369,7 +369,7 @@ def coarse_bits_differ(u, width):
     return ((a ^ (a >> 1)) ^ (b ^ (b >> 1))) >> 6 > 0
 
 
-def test_interreflection_as_strong_as_direct_light_is_contradictory_where_coarse_bits_differ():
+def test_strong_interreflection_is_contradictory_at_pixels_whose_coarse_bits_differ():
     """Equal direct and indirect light cancel in a bit that differs at the two positions."""
     code = gray(512, 8, axes=("column",), inverses=True)
     u = np.arange(512.0)[None]
@@ -387,9 +387,7 @@ def test_interreflection_as_strong_as_direct_light_is_contradictory_where_coarse
 
 @pytest.mark.parametrize(("margin_dn", "reason"), [(12, "CONTRADICTORY"), (16, "DECODED")])
 @pytest.mark.parametrize("at", [5, 20, 50])
-def test_a_bit_combined_by_exclusive_or_is_accepted_from_three_deviations_of_noise_on(
-    at, margin_dn, reason
-):
+def test_an_xor_bit_is_accepted_from_three_deviations_of_noise_upwards(at, margin_dn, reason):
     """At 110 DN a frame's variance is 0.1 * 110 + 0.17 DN^2; 3 deviations of a pair, 14.2 DN."""
     code, noise_alone = xor_gray(64, 48), replace(USUAL, doubt=0.0)
 
@@ -403,9 +401,7 @@ def test_a_bit_combined_by_exclusive_or_is_accepted_from_three_deviations_of_noi
 
 @pytest.mark.parametrize(("margin_dn", "reason"), [(16, "INTERREFLECTION"), (20, "DECODED")])
 @pytest.mark.parametrize("at", [5, 20, 50])
-def test_a_weak_bit_combined_by_exclusive_or_is_doubtful_far_from_its_own_edge(
-    at, margin_dn, reason
-):
+def test_a_weak_xor_bit_is_doubtful_far_from_its_own_edge(at, margin_dn, reason):
     """The limit is two thirds of 0.15 of a contrast of 180 DN: 18 DN; of noise, 14.2 DN."""
     code = xor_gray(64, 48)
 
@@ -419,7 +415,7 @@ def test_a_weak_bit_combined_by_exclusive_or_is_doubtful_far_from_its_own_edge(
 
 @pytest.mark.parametrize("inverses", [False, True])
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_doubtful_base_bit_makes_its_pixel_doubtful(inverses, turned):
+def test_a_doubtful_base_bit_of_an_xor_code_makes_its_pixel_doubtful(inverses, turned):
     """If misread, it inverts all bits combined with it, which shows no contradiction.
 
     Its frames are 16 of 180 DN apart, which is more than three deviations of the noise of a pair.
@@ -457,7 +453,7 @@ def test_indirect_light_stronger_than_direct_light_inverts_gray_bits_but_not_xor
 
 
 @pytest.mark.parametrize(("bits_shift_px", "harm"), [(1.9, False), (-1.9, False), (9.0, True)])
-def test_gray_edges_displaced_by_an_eighth_of_a_period_cause_no_jump(bits_shift_px, harm):
+def test_gray_edges_displaced_by_an_eighth_of_a_period_cause_no_period_jump(bits_shift_px, harm):
     """The complementary bit is exact; the Gray bits are displaced, as by blur, interreflection or a
     tilted surface. The last case shows that the test can fail.
     """
@@ -481,7 +477,7 @@ def test_gray_edges_displaced_by_an_eighth_of_a_period_cause_no_jump(bits_shift_
 # --- limits of a code ----------------------------------------------------------------------------
 
 
-def test_periods_whose_beat_repeats_in_the_picture_are_contradictory_and_not_guessed():
+def test_ambiguous_periods_with_a_repeating_beat_are_contradictory_and_not_guessed():
     """The beat of 16 and 17 px is 272 px long: positions occur two or three times in 640 px."""
     base = gray_phase(640, 48, period_px=16.0, steps=4).frames
     frames = [f for f in base if f.kind == "phase"]
@@ -539,7 +535,7 @@ def test_the_page_on_formats_quotes_the_text_for_each_reason():
     assert rows == [(str(int(r)), r.name, r.meaning) for r in Reason]
 
 
-def test_the_colours_of_reasons_differ_clearly_in_pictures():
+def test_the_colours_for_reasons_are_clearly_different():
     """An eye distinguishes a distance of 30 (of at most 442) in RGB in a map next to its legend."""
     color = np.array([to_rgb(reason.color) for reason in Reason]) * 255
     apart = np.linalg.norm(color[:, None] - color[None], axis=-1)

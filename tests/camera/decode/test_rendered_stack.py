@@ -23,7 +23,7 @@ def noiseless(radiance, sensor):
 
 @pytest.mark.parametrize("vertical", [False, True])
 @pytest.mark.parametrize("inverses", [False, True])
-def test_a_rendered_plane_and_sphere_are_decoded_to_half_a_projector_column(
+def test_a_rendered_plane_and_a_sphere_are_decoded_to_half_a_column(
     mitsuba_renderer, vertical, inverses
 ):
     """All is lit. The true point, projected by OpenCV, is within half a column of the decoded one,

@@ -66,7 +66,7 @@ def test_blur_moves_the_lost_contrast_from_direct_to_global_light():
     assert np.allclose(direct_estimate + around_estimate, direct + around, atol=45)
 
 
-def test_wide_stripes_alone_cannot_separate_light():
+def test_a_code_with_only_wide_stripes_cannot_separate_light():
     code = gray(512, 384, axes=("column",))
     with pytest.raises(DecodeError, match="period of at most 32 px with their inverses"):
         separate(frames_of(np.zeros((len(code.frames), 2, 2))), code, LEVELS)

@@ -76,7 +76,7 @@ def test_triangulated_depth_solves_the_published_linear_equations(seed, vertical
 @pytest.mark.parametrize("wall_m", [0.4, 0.9, 2.0])
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("vertical", [False, True])
-def test_a_parallel_rig_gives_depth_by_similar_triangles(wall_m, side, vertical):
+def test_depth_of_a_parallel_rig_follows_similar_triangles(wall_m, side, vertical):
     """x_cam - x_proj = side f b / z, with fractional columns, so nothing is rounded."""
     f_px, b_m = 400.0, 0.1
     baseline = (0.0, side * b_m, 0.0) if vertical else (side * b_m, 0.0, 0.0)
@@ -134,7 +134,7 @@ def test_points_projected_by_opencv_through_two_distorted_lenses_are_triangulate
     assert error.max() < 1e-6
 
 
-def test_wrong_columns_of_a_distorted_projector_give_pixels_out_of_range_and_no_error():
+def test_wrong_columns_of_a_distorted_projector_are_out_of_range_without_an_error():
     """Wrong codes move the search for the row far out of the picture, where the lens folds over;
     one such pixel must not stop the decoding. 29 of 200 such rigs once did.
     """
@@ -151,7 +151,7 @@ def test_wrong_columns_of_a_distorted_projector_give_pixels_out_of_range_and_no_
         assert set(np.unique(depth.reason)) == {Reason.DECODED, Reason.OUT_OF_RANGE}
 
 
-def test_depth_beyond_the_working_range_is_out_of_range():
+def test_a_pixel_beyond_the_working_range_is_out_of_range():
     rig = make_rig(centred(64, 48, 400), centred(1000, 1000, 400))
     rig = replace(rig, near_m=0.5, far_m=1.0)
     x = np.arange(64) - 31.5

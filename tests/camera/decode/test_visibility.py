@@ -46,7 +46,7 @@ def hidden(z_m, side, sigmas=3.0, sigma_m=1e-4):
 
 
 @pytest.mark.parametrize("side", [1, -1, "down"])
-def test_the_shadow_behind_a_block_is_restored_and_no_other_pixel_is_removed(side):
+def test_exactly_the_pixels_in_the_shadow_of_a_block_are_removed(side):
     """Oracle: the shadow's width from similar triangles."""
     gone = hidden(block(side, shadow=False), side)
     rows = gone.T if side == "down" else gone

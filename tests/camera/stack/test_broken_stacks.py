@@ -178,7 +178,7 @@ def test_a_broken_stack_is_refused_by_name(edit, make):
     assert "\n" not in str(refusal.value)
 
 
-def test_a_missing_phase_step_is_named(make):
+def test_the_error_for_a_missing_phase_step_names_the_step(make):
     def edit(content, folder):
         content["frames"].remove(entry(content, "column_phase_16px_step02"))
 
@@ -186,7 +186,7 @@ def test_a_missing_phase_step_is_named(make):
         decode_stack(make(edit, PHASE))
 
 
-def test_a_stack_file_that_is_missing_or_not_yaml_is_named(tmp_path):
+def test_a_stack_file_that_is_missing_empty_or_not_yaml_is_refused(tmp_path):
     with pytest.raises(GraycastError, match="no such file"):
         decode_stack(tmp_path / "STACK.yaml")
     (tmp_path / "STACK.yaml").write_text("frames: [")
@@ -223,7 +223,7 @@ def test_overexposed_pictures_are_refused_or_warned_of(make):
 
 
 @pytest.mark.slow
-def test_pictures_with_saturated_stripes_are_decoded_by_their_inverses(make):
+def test_pictures_with_saturated_stripes_are_decoded_from_their_inverses(make):
     """With three times the light, a stripe and its inverse still distinguish bright from dark."""
     over = decode_stack(make(lambda *_: None, stack=shoot(RIG, GRAY, bright=3.0)))
     assert over.figures.decoded_share > 0.97
@@ -350,7 +350,7 @@ def test_a_stack_whose_files_are_shifted_by_one_is_refused(make):
 # --- the rig -----------------------------------------------------------------------------------
 
 
-def test_a_rig_of_another_camera_size_is_refused(make):
+def test_a_rig_with_another_camera_size_than_the_pictures_is_refused(make):
     other = replace(RIG, camera=replace(RIG.camera, width_px=161))
     with pytest.raises(GraycastError, match=r"pictures are 160 x 120 px, .* 161 x 120"):
         decode_stack(make(lambda *_: None), other)
@@ -391,6 +391,6 @@ def other_projector(rig):
         slow(other_projector, "projector is 128 x 96 px, that of rig small 128 x 100"),
     ],
 )
-def test_the_rig_of_another_stack_causes_a_warning(wrong, says, make):
+def test_decoding_with_the_rig_of_another_stack_causes_a_warning(wrong, says, make):
     warnings = decode_stack(make(lambda *_: None), wrong(RIG)).warnings
     assert any(says in warning for warning in warnings), warnings

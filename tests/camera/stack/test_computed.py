@@ -39,7 +39,7 @@ def test_only_inverses_that_were_computed_are_detected(name):
     assert computed_pairs(computed(code, stack, white), code) == pairs_of(code)
 
 
-def test_pictures_with_little_noise_do_not_seem_computed():
+def test_pictures_with_little_noise_are_not_taken_for_computed_inverses():
     """With a noise of 0.3 DN and rounding, most but not all sums equal the next one."""
     code = CODES["inverses"]
     look = Look(squares=0.3, gain=0.0, read_dn=0.3)
@@ -47,7 +47,7 @@ def test_pictures_with_little_noise_do_not_seem_computed():
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_noise_is_not_measured_from_computed_inverses(name):
+def test_computed_inverses_are_not_used_to_estimate_the_noise(name):
     """It was 0.29 DN, the noise of rounding. Oracle: the simulated noise, or the stated default."""
     code = CODES[name]
     code = replace(code, frames=tuple(f for f in code.frames if f.kind not in ("white", "black")))

@@ -105,7 +105,7 @@ def test_a_stack_without_the_finest_bits_has_errors_of_at_most_half_a_cell(keep,
         slow(".png", 10, False),
     ],
 )
-def test_all_kinds_of_picture_files_are_decoded_to_the_same_result(suffix, bits, color, tmp_path):
+def test_every_kind_of_picture_file_is_decoded_correctly(suffix, bits, color, tmp_path):
     rig, code = small_rig(), CODES["gray with inverses"]
     stack = shoot(rig, code, bits=bits)
     result = decode_stack(save(tmp_path, describe(code, suffix), stack, color=color))
@@ -141,7 +141,7 @@ def test_the_noise_is_estimated_from_the_stack_itself(gain, tmp_path):
         assert levels.floor_dn2 + levels.slope_dn * stored == pytest.approx(true, rel=0.15)
 
 
-def test_properties_of_the_camera_in_the_file_are_used(tmp_path):
+def test_camera_levels_stated_in_the_stack_file_are_used(tmp_path):
     rig, code = small_rig(), CODES["gray"]
     content = describe(code) | {
         "levels": {
@@ -180,7 +180,7 @@ def test_the_depth_of_wall_and_ball_is_correct_to_half_a_projector_pixel(vertica
 @pytest.mark.parametrize(
     ("name", "mentioned"), [("gray with inverses", True), ("gray and phase", False)]
 )
-def test_pixels_with_no_doubtful_bit_are_mentioned_only_without_phases(name, mentioned, tmp_path):
+def test_undoubted_pixels_are_mentioned_only_for_codes_without_phases(name, mentioned, tmp_path):
     """With phases, few pixels have the smallest sigma, and their residual was meaningless."""
     rig, code = small_rig(), CODES[name]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
@@ -307,7 +307,7 @@ def test_results_of_an_earlier_run_are_removed_when_a_new_result_is_written(tmp_
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["code.npz", "preview.png"]
 
 
-def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+def test_the_error_for_an_unwritable_folder_names_the_folder(tmp_path):
     rig, code = small_rig(), CODES["gray"]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)))
     (tmp_path / "file").write_text("in the way")
@@ -316,7 +316,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_example_of_a_phase_code_needs_no_stride(tmp_path):
+def test_a_phase_code_with_a_complementary_bit_needs_no_stated_stride(tmp_path):
     """A complementary bit gives the width of the Gray values."""
     content = describe(CODES["gray and phase"])
     del content["stride_px"]

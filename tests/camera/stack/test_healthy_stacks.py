@@ -53,7 +53,7 @@ def test_a_healthy_stack_of_a_hard_scene_causes_no_warning(name, look, tmp_path)
 
 
 @pytest.mark.slow
-def test_contradictions_in_strong_noise_are_attributed_to_the_noise(tmp_path):
+def test_contradictions_among_noisy_pixels_are_attributed_to_noise(tmp_path):
     code = CODES["micro phase"]
     stack = shoot_cluttered(code, Look(bright=0.05, read_dn=3.0, gain=0.3))
     (warning,) = [w for w in warnings_of(tmp_path, code, stack) if "contradict" in w]

@@ -42,7 +42,7 @@ def test_the_default_range_is_where_camera_and_projector_see_a_common_point(tmp_
     assert (stated.near_m, stated.far_m) == (0.3, 0.9)
 
 
-def test_devices_without_a_common_field_are_refused(tmp_path):
+def test_devices_without_a_common_field_of_view_are_refused(tmp_path):
     rig = small_rig()
     T_proj_cam = inverse(rig.T_cam_proj)
     T_proj_cam[:3, :3] = np.diag([-1.0, 1.0, -1.0])  # back to back

@@ -50,7 +50,7 @@ def test_a_bump_between_columns_and_rows_causes_only_its_own_warning(name, x_px,
     assert (int(before), int(after)) == (at, at + 1)  # counted from 1
 
 
-def test_a_bump_between_a_pattern_and_its_inverse_is_named_once_with_both_frames():
+def test_a_bump_between_a_pattern_and_its_inverse_is_warned_of_once():
     code = CODES["gray"]
     stack = moved(shoot_cluttered(code, LOOK), 9, 2, 0)  # frame 8 is a pattern, 9 its inverse
     (jump,) = stack_motion(white_sums(stack, code, 255.0)).jumps
@@ -85,7 +85,9 @@ def second_half(pair):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("place_px", "extent_px"), [(to_and_fro, 2), (second_half, 7)])
-def test_a_camera_that_moves_in_half_of_the_stack_is_named(place_px, extent_px, tmp_path):
+def test_a_camera_that_moves_during_half_of_the_stack_causes_a_warning(
+    place_px, extent_px, tmp_path
+):
     """Seven of the 14 motions are 0, so the median does not show which half is usual.
 
     Oracle: the whole pixels by which the pairs of pattern and inverse were shifted.
@@ -109,7 +111,7 @@ def test_noise_and_changing_exposure_are_not_taken_for_motion(name):
 
 
 @pytest.mark.slow
-def test_fringes_from_a_gamma_are_not_taken_for_motion():
+def test_fringes_from_a_nonlinear_projector_are_not_taken_for_motion():
     """Pictures have the square root of the light, so pairs and steps do not add up to white."""
     for code in CODES.values():
         stack = shoot_cluttered(code, Look(squares=0.3, blur_px=0.7))

@@ -91,7 +91,7 @@ def test_a_real_stack_causes_no_warning(name, stacks, tmp_path):
 
 
 @pytest.mark.parametrize("name", [slow(each) for each in STACKS])
-def test_a_bump_of_the_camera_in_a_real_stack_is_named(name, stacks, tmp_path):
+def test_a_bump_of_a_real_camera_causes_a_warning(name, stacks, tmp_path):
     """Oracle: the frames of the rows were shifted by 2 px to the right and 1 px down."""
     content, stack = stacks(name)
     at = next(k for k, frame in enumerate(content["frames"]) if frame.get("axis") == "row")
@@ -101,7 +101,7 @@ def test_a_bump_of_the_camera_in_a_real_stack_is_named(name, stacks, tmp_path):
 
 
 @pytest.mark.parametrize("name", [slow(each) for each in STACKS])
-def test_a_brighter_step_of_a_real_stack_is_named(name, stacks, tmp_path):
+def test_a_phase_step_that_is_too_bright_in_a_real_stack_is_named(name, stacks, tmp_path):
     content, stack = stacks(name)
     k = 1 + next(
         k for k, f in enumerate(content["frames"]) if f["kind"] == "phase" and f["period_px"] < 200

@@ -25,7 +25,7 @@ def motion_of(first, second, valid=None):
 
 
 @pytest.mark.parametrize("moved", [(0.0, 0.0), (0.3, -0.15), (2.1, 0.6), (-10.4, 3.0)])
-def test_a_shift_is_measured_despite_other_light_noise_and_exposure(moved):
+def test_a_shift_is_measured_despite_changed_light_noise_and_exposure(moved):
     """Oracle: the distance by which the closed form was shifted."""
     rng = np.random.default_rng(2)
     first, second = (p + rng.normal(size=SIZE) for p in (scene(0, 0), 0.7 * scene(*moved) + 20))

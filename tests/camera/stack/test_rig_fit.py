@@ -46,7 +46,7 @@ def misfits(folder, code, stack, rig):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["both", "columns", "rows"])
-def test_a_rig_with_inverted_R_and_T_is_named(name, shots, tmp_path):
+def test_a_rig_with_inverted_R_and_T_causes_a_warning(name, shots, tmp_path):
     """With one coded axis, only the edge of the projector's picture shows it."""
     rig, code, stack = shots[name]
     assert misfits(tmp_path, code, stack, rig) == []
@@ -97,7 +97,9 @@ def test_a_correct_rig_causes_no_note_for_codes_of_both_axes_or_a_visible_edge(s
         ("columns", np.s_[:, :, ::-1], "mirror the pictures left to right"),
     ],
 )
-def test_rotated_pictures_are_named_with_the_rotation_to_apply(name, turn, says, shots, tmp_path):
+def test_the_warning_about_rotated_pictures_states_the_rotation_to_apply(
+    name, turn, says, shots, tmp_path
+):
     rig, code, stack = shots[name]
     (message,) = misfits(tmp_path, code, np.ascontiguousarray(stack[turn]), rig)
     assert says in message
@@ -113,7 +115,7 @@ def test_rotated_pictures_are_named_with_the_rotation_to_apply(name, turn, says,
         (-1, True, "left to right, then turn them by 90 degrees counter-clockwise"),
     ],
 )
-def test_pictures_rotated_by_a_quarter_turn_are_refused_with_the_remedy(
+def test_pictures_rotated_by_90_degrees_are_refused_with_a_remedy(
     turns, mirror, says, shots, tmp_path
 ):
     """`np.rot90` rotates counter-clockwise, so the correction is clockwise."""

@@ -82,7 +82,7 @@ def test_three_quarters_of_the_lit_pixels_are_decoded_along_both_axes(result):
     assert np.isfinite(result.codes.row[known]).all()
 
 
-def test_the_modulation_of_each_bit_agrees_with_known_values(result):
+def test_the_modulation_of_each_gray_bit_agrees_with_known_values(result):
     """Oracle: values of the project's design, computed independently, from coarse to fine."""
     known = [0.97, 0.96, 0.96, 0.94, 0.93, 0.90, 0.87, 0.80, 0.61, 0.30, 0.06]
     for axis in ("column", "row"):
@@ -90,7 +90,7 @@ def test_the_modulation_of_each_bit_agrees_with_known_values(result):
         np.testing.assert_allclose(estimate, known, atol=0.06)
 
 
-def test_the_epipolar_residual_agrees_with_its_known_value(result):
+def test_the_epipolar_residual_of_the_sea_shell_agrees_with_its_known_value(result):
     """It is 0.34 px where no bit is in doubt; the calibration does not extend beyond the shell."""
     assert result.figures.epipolar_sure_px == pytest.approx(0.34, abs=0.04)
 

@@ -54,7 +54,7 @@ CASES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("code", "sign", "by"), CASES)
-def test_a_wrong_phase_direction_or_origin_is_named_with_the_correct_value(
+def test_the_warning_for_a_wrong_direction_or_origin_names_the_correct_one(
     code, sign, by, tmp_path
 ):
     """Oracle: the known renumbering of the file; its inverse gives the truth."""
@@ -149,14 +149,14 @@ def test_stripes_instead_of_a_cosine_cause_the_documented_error(steps, worst, tm
 
 
 @pytest.mark.slow
-def test_a_saturation_above_the_camera_s_range_means_that_no_pixel_saturates(tmp_path):
+def test_no_pixel_saturates_if_the_stated_saturation_exceeds_the_camera_s_range(tmp_path):
     code = gray_phase(128, 96, steps=4)
     content = describe(code) | {"levels": {"saturation_dn": 300.0}}
     save(tmp_path, content, shoot_cluttered(code, Look(bright=1.4)))
     assert decode_stack(write_yaml(tmp_path, content)).figures.reasons["saturated"] == 0
 
 
-def test_unevenly_spaced_steps_of_one_period_are_refused(tmp_path):
+def test_unevenly_spaced_phase_steps_of_one_period_are_refused(tmp_path):
     content = describe(FOUR)
     steps = [e for e in content["frames"] if e["kind"] == "phase" and e["axis"] == "column"]
     steps[1]["step"] = 1.5

@@ -35,7 +35,7 @@ def test_reading_pictures_needs_little_memory_beyond_the_stack(files):
         assert np.array_equal(pictures.frames[k], np.asarray(Image.open(files[k])))
 
 
-def test_the_first_wrong_file_is_named_whichever_thread_reads_it(files):
+def test_the_error_names_the_first_wrong_picture_whichever_thread_reads_it(files):
     Image.fromarray(np.zeros((200, 301), np.uint8)).save(files[9])
     files[5].write_bytes(files[5].read_bytes()[:2000])
     files[20].unlink()

@@ -69,9 +69,7 @@ def test_two_exchanged_pictures_cause_only_their_own_warning(name, one, other, t
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("one", "other", "twin"), [(0, 1, (2, 3)), slow(1, 2, (0, 3))])
-def test_an_exchange_without_gray_bits_is_named_with_its_two_possible_pairs(
-    one, other, twin, tmp_path
-):
+def test_an_exchange_without_gray_bits_is_named_with_two_pairs(one, other, twin, tmp_path):
     """Oracle: 1, 0, 2, 3 with the last two exchanged is 1 - k, a sine in reverse."""
     (warning,) = warnings_of(tmp_path, "three frequencies", one, other)
     assert named(warning) == sorted([(one, other), twin]), warning

@@ -176,7 +176,9 @@ def test_paths_are_evenly_spaced_even_beyond_two_to_the_32(open_tracer):
             np.testing.assert_allclose(place[:, k], must, atol=1e-3)
 
 
-def test_a_picture_of_more_than_two_to_the_32_paths_is_rendered(open_tracer, expected, monkeypatch):
+def test_a_picture_with_more_than_two_to_the_32_paths_is_rendered(
+    open_tracer, expected, monkeypatch
+):
     """A full picture with thousands of samples has that many paths, which caused an error.
 
     Of 2^34 paths, the first thousand of each of the projector's cells are traced: they are as

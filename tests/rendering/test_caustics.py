@@ -220,9 +220,7 @@ def test_camera_and_projector_paths_together_agree_with_brute_force(
 
 
 @pytest.mark.slow
-def test_camera_paths_alone_and_projector_paths_alone_give_equal_energy(
-    mitsuba_renderer, monkeypatch
-):
+def test_camera_paths_and_projector_paths_give_equal_energy(mitsuba_renderer, monkeypatch):
     """All light of shiny surfaces from the projector's side, and all of it from the camera's; on
     the rough metal, both have little noise.
     """
@@ -256,7 +254,7 @@ def test_projector_paths_do_not_change_the_mean_light_in_a_matt_room(mitsuba_ren
 
 
 @pytest.mark.slow
-def test_light_transport_is_reciprocal(mitsuba_renderer):
+def test_swapping_camera_and_projector_does_not_change_transported_light(mitsuba_renderer):
     """Helmholtz: light between a region of the camera's picture and one of the projector's is the
     same if camera and projector are exchanged. A black glossy coat is exactly reciprocal.
     """
@@ -305,9 +303,7 @@ def test_one_seed_gives_one_picture_of_a_caustic(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_tracing_light_from_the_projector_reduces_variance_a_hundredfold(
-    mitsuba_renderer, from_the_camera_alone
-):
+def test_projector_paths_reduce_the_variance_a_hundredfold(mitsuba_renderer, from_the_camera_alone):
     """At roughness 0.1, paths from the camera hit the strip's light by chance."""
 
     def variance():

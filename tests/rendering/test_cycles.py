@@ -244,7 +244,7 @@ def test_only_the_child_process_imports_blender(cycles_renderer):
     assert places and all(WORKER in file.parents for file in places)
 
 
-def test_frames_of_one_scene_have_independent_noise(cycles_renderer):
+def test_frames_of_one_scene_rendered_by_cycles_have_independent_noise(cycles_renderer):
     """Two equal patterns of one render differ by as much as those of two renders."""
     scene, layout = corner_scene()
     pattern = plain_pattern(scene.rig, 254, 254)
@@ -310,7 +310,7 @@ def test_the_denoiser_reduces_noise_of_a_lit_wall_and_keeps_its_brightness(cycle
     assert abs(clean.mean()) < 0.01
 
 
-def test_three_patterns_in_one_render_equal_separate_renders(open_cycles, cycles_renderer):
+def test_three_patterns_rendered_together_equal_separate_renders(open_cycles, cycles_renderer):
     """A laser lights coloured objects; the last render of four patterns has two unused bands."""
     scene, layout = corner_scene()
     rig = replace(scene.rig, band_weights=(0.0, 1.0, 0.0))
@@ -334,7 +334,7 @@ def test_three_patterns_in_one_render_equal_separate_renders(open_cycles, cycles
         assert not agree(1.03 * one[:, k], other[:, k])
 
 
-def test_three_patterns_in_one_render_need_one_wavelength_or_grey_surfaces(open_cycles):
+def test_three_patterns_in_one_render_of_coloured_surfaces_are_refused(open_cycles):
     """Otherwise each pattern would have another colour."""
     three = open_cycles(patterns_per_render=3)
     rig = askew_rig(camera=optics(24, 18, 30))
@@ -407,7 +407,7 @@ def test_cycles_denoises_light_of_one_wavelength_in_grey(cycles_renderer, weight
     assert one.white_rgb[lit][:, band].mean() == pytest.approx(one.white[lit].mean(), rel=0.05)
 
 
-def test_three_patterns_in_one_render_are_not_denoised_together(open_cycles):
+def test_denoising_three_patterns_rendered_together_is_refused(open_cycles):
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
     quality = Quality(samples=1, depth=1, denoise="oidn")
     with pytest.raises(ValueError, match="patterns_per_render"):

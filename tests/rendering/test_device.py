@@ -70,9 +70,7 @@ def test_libraries_for_another_machine_and_other_files_are_ignored(tmp_path):
     assert list_llvm([tmp_path]) == ()
 
 
-def test_the_newest_library_is_chosen_and_links_to_it_are_not_listed_twice(
-    tmp_path, no_user_choice
-):
+def test_the_newest_library_is_chosen_and_links_are_ignored(tmp_path, no_user_choice):
     old = make_library(tmp_path / "a", "libLLVM-15.so.1")
     good = make_library(tmp_path / "a", "libLLVM.so.19.1")
     newest = make_library(tmp_path / "b", "libLLVM.so.22.1")
@@ -84,20 +82,20 @@ def test_the_newest_library_is_chosen_and_links_to_it_are_not_listed_twice(
     assert find_llvm(folders) == newest
 
 
-def test_libraries_that_are_too_old_are_not_used(tmp_path, no_user_choice):
+def test_llvm_libraries_that_are_too_old_are_not_used(tmp_path, no_user_choice):
     for major in (14, 15, 16, 18):
         make_library(tmp_path, f"libLLVM-{major}.so.1")
     assert find_llvm([tmp_path]) is None
 
 
-def test_the_user_s_library_is_preferred_to_a_newer_one(tmp_path, monkeypatch):
+def test_the_user_s_llvm_library_is_preferred_to_a_newer_library(tmp_path, monkeypatch):
     library = make_library(tmp_path / "mine", "libLLVM.so.19.1")
     make_library(tmp_path / "system", "libLLVM.so.22.1")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
     assert find_llvm([tmp_path / "system"]) == library
 
 
-def test_a_user_s_link_is_checked_by_its_target(tmp_path, monkeypatch):
+def test_the_target_of_a_user_s_library_link_is_checked(tmp_path, monkeypatch):
     make_library(tmp_path, "libLLVM-15.so.1")
     (tmp_path / "libLLVM-19.so").symlink_to("libLLVM-15.so.1")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-19.so"))
@@ -109,7 +107,9 @@ def test_a_user_s_link_is_checked_by_its_target(tmp_path, monkeypatch):
     ("name", "message"),
     [("gone/libLLVM-19.so", "which is not a file: unset"), ("odd.so", "whose version is unknown")],
 )
-def test_a_user_s_library_that_is_unusable_is_refused(tmp_path, monkeypatch, name, message):
+def test_an_unusable_llvm_library_chosen_by_the_user_is_refused(
+    tmp_path, monkeypatch, name, message
+):
     make_library(tmp_path, "odd.so")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / name))
     with pytest.raises(DeviceError, match=message) as error:
@@ -119,7 +119,7 @@ def test_a_user_s_library_that_is_unusable_is_refused(tmp_path, monkeypatch, nam
 
 
 @NEEDS_LLVM
-def test_a_library_without_a_release_in_its_name_is_examined_in_a_child(tmp_path, monkeypatch):
+def test_an_llvm_library_without_a_release_in_its_name_is_loaded_in_a_child(tmp_path, monkeypatch):
     real = next(library for library in list_llvm() if library.major >= 19)
     copy = tmp_path / "libfoo.so"
     copy.symlink_to(real.path)
@@ -248,14 +248,14 @@ def test_a_number_of_threads_below_one_is_refused():
         open_device("llvm", threads=0)
 
 
-def test_optix_with_mitsuba_is_refused_with_the_possible_devices():
+def test_the_error_for_optix_with_mitsuba_lists_the_possible_devices():
     with pytest.raises(
         ValueError, match=r"optix exists only for Cycles .*choose auto, cpu or cuda"
     ):
         choose_device("optix")
 
 
-def test_a_device_on_which_a_picture_ends_the_process_is_not_chosen(monkeypatch, tmp_path):
+def test_a_device_that_crashes_while_rendering_is_not_chosen(monkeypatch, tmp_path):
     """For example, a file of the driver is missing: the child dies, and this process continues."""
     dying = partial(trial.try_device, program=("-c", "import os; os.abort()"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

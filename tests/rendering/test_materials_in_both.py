@@ -133,7 +133,7 @@ def test_grooves_have_the_same_shape_in_both_renderers(cpu_device, in_cycles):
     assert (np.abs(darker - [0.002, 0.02, 0.083]) < [0.002, 0.002, 0.003]).all()
 
 
-def test_plastic_reflects_the_same_total_in_both_renderers(cpu_device, in_cycles):
+def test_plastic_reflects_the_same_total_light_in_both_renderers(cpu_device, in_cycles):
     """In the furnace, a very rough coat of Cycles reflects 9 % more, as light that hits two of its
     facets returns; ours leaves it to the base. With a base of 0.2 that is 1 %.
     """

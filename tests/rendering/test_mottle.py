@@ -176,7 +176,7 @@ def test_a_brightened_mottled_part_stays_below_the_limit_of_its_mottle():
     assert max(brighter.base_color) == brighter.projector_reflectance == limit
 
 
-def test_a_random_colour_of_a_mottled_part_stays_below_its_limit():
+def test_a_random_colour_for_a_mottled_part_is_below_the_limit_of_its_mottle():
     part = box_part(np.array([0.02, 0.02, 0.02]), mottled(6.0))
     white = {"hue_deg": 0.0, "saturation": 0.0, "value": 1.0}
     values = {"color": white, "roughness": 0.0, "metallic": 0.0}

@@ -106,9 +106,7 @@ def test_a_pattern_in_a_stack_equals_its_separate_rendering_in_every_bit(mitsuba
 
 
 @pytest.mark.parametrize("footprint", [False, True])
-def test_a_pattern_and_its_inverse_add_up_to_white_and_black_gives_no_light(
-    mitsuba_renderer, footprint
-):
+def test_a_pattern_and_its_inverse_add_up_to_white_and_black_is_dark(mitsuba_renderer, footprint):
     """Linearity, to the rounding of float32 sums; white is also the sum of its three bands."""
     scene, layout = corner_scene()
     code = gray(48, 36, inverses=True)

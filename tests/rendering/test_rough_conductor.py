@@ -105,7 +105,7 @@ def test_the_lobe_of_a_single_reflection_has_the_published_shape(cpu_device, rou
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-def test_facets_seen_at_normal_incidence_have_the_slopes_of_ggx(cpu_device, roughness):
+def test_facets_visible_at_normal_incidence_have_ggx_distributed_slopes(cpu_device, roughness):
     """Along the normal no facet hides another: tan^2 / (alpha^2 + tan^2) is the share of samples
     whose facet has a smaller slope (the integral of D cos). Kolmogorov's bound at one in a million.
     """

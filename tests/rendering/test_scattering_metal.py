@@ -59,7 +59,7 @@ def test_scattering_metal_mixes_a_lambert_share_with_plain_metal(cpu_device):
 
 
 @pytest.mark.parametrize("angle_deg", [30, slow(70)])
-def test_samples_of_scattering_metal_follow_the_density(cpu_device, angle_deg):
+def test_samples_of_scattering_metal_follow_their_density(cpu_device, angle_deg):
     bsdf, wi = bsdf_of(replace(METAL, diffuse=0.4)), leaning(angle_deg)
     assert_samples_fall_where_densities_say(bsdf, wi, fine=800)
     wo, density, weight = samples_of(bsdf, wi, 20_000)
@@ -99,7 +99,7 @@ def test_a_scattered_share_without_metal_or_under_a_film_is_refused(words, messa
         Material(**words)
 
 
-def test_only_metal_keeps_its_scattered_share_when_its_look_is_varied():
+def test_varying_the_look_keeps_the_scattered_share_only_on_metal():
     blasted = replace(METAL, diffuse=0.3)
     less = retouched(blasted, brightness=1.0, roughness=0.0, metallic=-0.5)
     none = retouched(blasted, brightness=1.0, roughness=0.0, metallic=-1.0)

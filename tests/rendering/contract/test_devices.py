@@ -102,7 +102,7 @@ def test_light_falls_with_the_square_of_the_distance_from_the_picture_s_centre(r
 
 
 @pytest.mark.parametrize("levels", [(0, 255), (0, 51, 64, 128, 200, 255)])
-def test_grey_levels_have_the_radiance_of_the_response_curve(renderer, levels):
+def test_projected_grey_levels_follow_the_response_curve(renderer, levels):
     """Computed by hand, between the knots (0, 0), (127.5, 0.2) and (255, 1) of the response."""
     by_hand = {0: 0.0, 51: 0.08, 64: 0.2 * 64 / 127.5, 128: 0.2 + 0.8 * 0.5 / 127.5}
     by_hand |= {200: 0.2 + 0.8 * 72.5 / 127.5, 255: 1.0}

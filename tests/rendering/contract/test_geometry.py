@@ -227,7 +227,7 @@ def test_patterns_light_each_point_with_the_projector_pixel_that_opencv_gives(re
     assert np.isnan(place_px[np.any(beyond, axis=(0, 3))]).all()
 
 
-def test_a_point_far_outside_the_field_of_a_barrel_projector_stays_dark(renderer):
+def test_a_point_far_outside_a_barrel_distorted_projector_s_field_is_dark(renderer):
     """Far off the axis r (1 + k1 r^2) decreases: it would light a ghost of the picture there."""
     projector = optics(32, 24, 40, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
     rig = make_rig(optics(96, 72, 16), projector)  # the camera sees 71 degrees off its axis
@@ -239,7 +239,7 @@ def test_a_point_far_outside_the_field_of_a_barrel_projector_stays_dark(renderer
     assert (np.abs(off_axis - np.sqrt(1 / 0.3)) < 0.05).any()  # position of the ghost
 
 
-def test_patterns_of_another_size_than_the_projector_are_refused(renderer):
+def test_patterns_that_differ_in_size_from_the_projector_are_refused(renderer):
     scene = in_camera(askew_rig(), wall(0.8, GRAY))
     for shape in [(1, 48, 65), (1, 47, 64), (1, 64, 48)]:
         with pytest.raises(ValueError, match="the projector has 64 x 48 px"):

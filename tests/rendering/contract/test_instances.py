@@ -57,7 +57,7 @@ def heap(count, seed, *, spread_m=(0.35, 0.25, 0.1)):
 
 
 @pytest.mark.slow
-def test_ids_depth_and_silhouettes_of_a_heap_agree_with_those_of_single_boxes(path_tracer):
+def test_ids_depth_and_silhouettes_of_a_heap_agree_with_the_slab_method(path_tracer):
     """Oracle: the slab method, box by box. 70 instances need more than two words of bits;
     silhouettes extend beyond the border by up to one image size. Edges may differ by rounding.
     """
@@ -135,7 +135,7 @@ def test_parts_out_of_sight_have_an_empty_silhouette_or_one_outside_the_image(pa
     assert (truth.instance == -1).all() and np.isnan(truth.depth_m).all()
 
 
-def test_a_distorted_lens_bends_silhouettes_and_makes_no_ghosts_beyond_its_fold(path_tracer):
+def test_a_distorted_lens_bends_silhouettes_and_gives_no_ghosts(path_tracer):
     """A barrel lens folds over at r^2 = 1 / (3 |k1|), which it images at 2/3 of that radius: pixels
     further out have no ray. Inside, the oracle is the slab method on undistorted rays, for a rod
     across the top whose image bulges, a box in the middle and one far outside.
@@ -188,7 +188,7 @@ def square_part(material, *, corner_normals=None):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
-def test_row_0_of_a_texture_is_at_the_top_and_its_levels_are_srgb(path_tracer, metallic):
+def test_a_texture_has_row_0_at_the_top_and_srgb_levels(path_tracer, metallic):
     """Four quarters of known colours; linear values by the sRGB curve of IEC 61966-2-1."""
     texture = np.zeros((64, 64, 3), dtype=np.uint8)
     texture[:32, :32], texture[:32, 32:] = (255, 0, 0), (0, 255, 0)
@@ -249,7 +249,7 @@ def smooth_ball(radius_m, material):
     return Part(name="ball", mesh=mesh, material=material, density_kg_m3=1.0, friction=0.5)
 
 
-def test_a_smooth_mesh_is_lit_like_the_sphere_that_it_approximates(path_tracer):
+def test_a_smooth_mesh_is_lit_like_the_approximated_sphere(path_tracer):
     """Lambert's cosine with the true normal, where neither lens is at a grazing angle.
 
     A pixel spans 0.08 rad of the ball, and twice that at a slope of 66 degrees: its mean is up to
@@ -306,7 +306,7 @@ def test_a_bin_rests_on_its_table_centred_on_the_origin(path_tracer):
     assert (truth.instance == -1).all()
 
 
-def test_a_mesh_bin_is_seen_with_its_inclined_walls(path_tracer, tmp_path):
+def test_the_inclined_walls_of_a_mesh_bin_are_rendered(path_tracer, tmp_path):
     """Seen from straight above, each ray ends at a wall, on the rim, or on the table."""
     crate = Crate(lean=0.5, rim_m=0.03)  # it opens wider than the cone of rays
     rig = make_rig(centred(120, 90, 110), centred(32, 24, 40))

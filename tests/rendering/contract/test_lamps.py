@@ -72,7 +72,7 @@ def test_a_lamp_and_the_sky_light_a_floor_according_to_their_form_factors(path_t
     assert abs(blocks.mean() - 1) < 0.004
 
 
-def test_a_lamp_and_the_sky_have_their_stated_radiance_when_seen_directly(path_tracer):
+def test_a_directly_visible_lamp_or_sky_has_its_stated_radiance(path_tracer):
     """This holds at any depth of path; the back of a lamp is black."""
     rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
     sky = (0.4, 0.2, 0.1)
@@ -142,7 +142,7 @@ def hemisphere_map(path):
 @pytest.mark.parametrize(
     ("normal", "share"), [((0, 0, 1), 1.0), ((0, 0, -1), 0.0), ((1, 0, 0), 0.5), ((0, 1, 0), 0.5)]
 )
-def test_the_top_row_of_a_map_is_at_the_zenith_of_the_world(path_tracer, tmp_path, normal, share):
+def test_the_top_row_of_an_environment_map_is_at_the_zenith(path_tracer, tmp_path, normal, share):
     """A white wall under the bright half of the sky receives all, none or half of it."""
     file = hemisphere_map(tmp_path / "sky.exr")
     normal = np.array(normal, dtype=float)
@@ -166,7 +166,7 @@ def test_the_top_row_of_a_map_is_at_the_zenith_of_the_world(path_tracer, tmp_pat
     assert np.abs(image - share * np.array([2.0, 1.0, 0.5])).max() < 0.03
 
 
-def test_a_bright_spot_at_the_zenith_is_seen_when_looking_up(path_tracer, tmp_path):
+def test_a_camera_that_looks_up_sees_a_bright_spot_at_the_zenith(path_tracer, tmp_path):
     import mitsuba as mi
 
     pixels = np.zeros((32, 64, 3), dtype=np.float32)
@@ -223,9 +223,7 @@ def test_a_bright_spot_of_a_map_is_visible_in_its_direction(path_tracer, tmp_pat
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_bright_spot_of_a_map_lights_a_wall_by_cosine_and_solid_angle(
-    path_tracer, tmp_path, axis
-):
+def test_a_bright_spot_lights_a_wall_by_cosine_and_solid_angle(path_tracer, tmp_path, axis):
     """albedo / pi * L * solid angle * cosine, on walls along each axis of the world."""
     direction = spot_direction()
     normal = np.eye(3)[axis] * np.sign(direction[axis])
@@ -252,7 +250,7 @@ def test_a_bright_spot_of_a_map_lights_a_wall_by_cosine_and_solid_angle(
 
 
 @pytest.mark.parametrize("turn_deg", [90.0, -35.0])
-def test_a_map_rotates_about_the_world_s_z_by_the_right_hand_rule(path_tracer, tmp_path, turn_deg):
+def test_an_environment_map_rotates_about_z_by_the_right_hand_rule(path_tracer, tmp_path, turn_deg):
     """The spot is visible in the rotated direction, and lights a wall by the cosine law."""
     turn = axis_rotation("z", np.radians(turn_deg))
     direction = turn @ spot_direction()
@@ -309,7 +307,7 @@ def test_the_stated_level_of_a_map_is_its_mean_over_all_directions(path_tracer, 
     assert image == pytest.approx(np.array([0.6, 0.3, 0.0]) / share, rel=1e-3)
 
 
-def test_a_map_without_light_or_with_infinite_light_cannot_have_a_level(path_tracer, tmp_path):
+def test_a_level_for_a_map_with_no_light_or_infinite_light_is_refused(path_tracer, tmp_path):
     import mitsuba as mi
 
     rig = make_rig(centred(16, 16, 40), centred(8, 8, 8))

@@ -82,7 +82,7 @@ LIMITS = {"wall": 0.002, "metal": 0.005, "coat": 0.03}
 NOISE = {"wall": 0.001, "metal": 0.007, "coat": 0.003}
 
 
-def test_each_material_is_equally_bright_in_mitsuba_and_cycles_within_its_limit(
+def test_mitsuba_and_cycles_agree_on_each_material_within_its_limit(
     mitsuba_renderer, cycles_renderer
 ):
     scene, layout = corner_scene(metal=METAL, coat=COAT)

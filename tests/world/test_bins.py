@@ -107,7 +107,7 @@ def config(path, **words):
     return Config.model_validate({"parts": [{"builtin": "toothpaste"}], "bin": box})
 
 
-def test_a_configuration_has_a_mesh_or_a_size_but_not_both(tmp_path):
+def test_a_bin_with_a_mesh_and_a_size_is_refused(tmp_path):
     path = tmp_path / "crate.stl"
     with pytest.raises(ValueError, match="a mesh has its own size: remove inner_m, or mesh"):
         config(path, inner_m=[0.3, 0.2, 0.1])
@@ -131,7 +131,7 @@ def test_a_changed_bin_mesh_gives_another_dataset(tmp_path):
 
 
 @pytest.mark.parametrize("up", ["-z", "x", "y"])
-def test_a_crate_on_its_side_is_refused_as_a_bin(tmp_path, up):
+def test_a_crate_that_is_not_upright_is_refused_as_a_bin(tmp_path, up):
     path = CRATE.write(tmp_path / "crate.stl")
     with pytest.raises(
         MeshError, match=f"not an open bin whose opening faces {up}.*state with up_axis which"
@@ -139,7 +139,7 @@ def test_a_crate_on_its_side_is_refused_as_a_bin(tmp_path, up):
         load_bin(path, unit="mm", up=up)
 
 
-def test_a_block_and_a_plate_are_refused_as_bins(tmp_path):
+def test_a_block_or_a_plate_is_refused_as_a_bin(tmp_path):
     for size in ((0.4, 0.3, 0.2), (0.4, 0.3, 0.005)):
         trimesh.creation.box(size).export(tmp_path / "block.stl")
         with pytest.raises(MeshError, match="the middle is not lower than the top"):

@@ -266,7 +266,7 @@ def children(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_several_parts_decomposed_by_two_children_give_the_same_hulls(children, tmp_path):
+def test_two_child_processes_make_the_same_hulls_as_one_process(children, tmp_path):
     box = box_part((0.04, 0.05, 0.06))
     nut, *others = (zoo_part(name) for name in ("nut", "washer", "hex_bolt"))
     parts = (box, nut, *others, replace(nut, name="another nut"))
@@ -307,9 +307,7 @@ def test_an_error_in_one_part_ends_all_child_processes_and_keeps_finished_hulls(
 
 
 @pytest.mark.slow
-def test_a_killed_child_process_causes_an_error_with_a_remedy_and_ends_all_children(
-    children, tmp_path
-):
+def test_a_killed_child_gives_an_error_and_ends_all_children(children, tmp_path):
     with pytest.raises(GraycastError, match=r"cuts tee .* was killed by signal 9.*free memory"):
         prepare(
             [zoo_part("tee"), zoo_part("nut")],
@@ -407,7 +405,7 @@ def test_hulls_of_a_part_with_half_a_million_faces_keep_bound_and_hole():
 
 
 @pytest.mark.slow
-def test_a_part_with_too_much_detail_is_decomposed_more_coarsely_with_a_note(monkeypatch):
+def test_a_part_with_too_much_detail_is_decomposed_coarsely_with_a_note(monkeypatch):
     stages = []
     monkeypatch.setattr(mesh_hulls, "MOST_PIECES", 4)
     hulls = decompose(zoo_part("nut").mesh, progress=Stages(stages.append))

@@ -95,7 +95,7 @@ def test_a_cup_lifts_only_the_weight_that_its_vacuum_can_hold(share, holds):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "holds"), [(0.9, True), (1.1, False)])
-def test_a_cup_off_the_centre_of_mass_loses_the_part_by_tilt(share, holds):
+def test_a_cup_far_from_the_centre_of_mass_loses_the_part_by_tilt(share, holds):
     """The grip is 30 mm off the centre: m g (1 + 2 d / r) <= pull, by the ring's statics."""
     beside_m = 0.03
     limit_kg = CUP.pull_n / GRAVITY_M_S2 / (1 + 2 * beside_m / CUP.radius_m)

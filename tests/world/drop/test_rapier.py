@@ -70,9 +70,7 @@ def test_a_dropped_box_rests_flat_at_half_its_side():
 
 
 @pytest.mark.parametrize("angle_deg, holds", [(12.5, True), (19.5, False)])
-def test_a_slab_rests_below_the_friction_angle_and_slides_above_this_angle(
-    monkeypatch, angle_deg, holds
-):
+def test_a_slab_slides_only_above_the_friction_angle(monkeypatch, angle_deg, holds):
     """Oracle: Coulomb, atan 0.3 = 16.7 deg; 13.1 deg with the reduced friction after the release.
 
     The floor is tilted by tilting gravity.
@@ -260,7 +258,7 @@ def test_a_ring_dropped_onto_a_peg_comes_to_rest_around_the_peg(ring_part, ring_
     assert np.linalg.norm((ring_end - peg_end)[:2, 3]) < RING_INNER_M - 0.010 + 0.5e-3
 
 
-def test_parts_heaped_above_the_rim_fall_off_and_are_counted():
+def test_parts_that_fall_off_a_heap_above_the_rim_are_counted():
     """Four cubes fit side by side into the bin; of twelve, at least four end elsewhere."""
     box = Bin(inner_m=(0.1, 0.1, 0.04))
     start = np.concatenate(
@@ -322,7 +320,7 @@ def test_the_overlap_of_two_jammed_parts_is_measured():
     assert not layout.at_rest
 
 
-def test_an_inside_out_mesh_has_no_mass():
+def test_an_inside_out_mesh_is_refused_for_lack_of_mass():
     shape = trimesh.creation.box((0.04, 0.04, 0.04))
     shape.invert()
     part = as_part(shape, "inverted")

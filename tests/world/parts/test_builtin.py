@@ -186,7 +186,7 @@ def likeness(one, other):
     ("name", "panels"),
     [("yellow_salt_cube", cache(salt_box_panels)), ("toothpaste", cache(toothpaste_panels))],
 )
-def test_a_box_shows_each_panel_upright_and_not_mirrored(name, panels, side):
+def test_each_panel_of_a_printed_box_is_upright_and_not_mirrored(name, panels, side):
     """Oracle: the panel as drawn, compared with the view from in front of that side."""
     part, panel = part_of(name), panels()[side]
     normal, up = READERS[side]

@@ -17,7 +17,7 @@ def test_a_cylinder_is_smooth_around_its_axis_and_sharp_at_its_rims():
     assert np.abs(normal[~side] - mesh.face_normals[~side][:, None]).max() < 1e-9
 
 
-def test_facets_steeper_than_the_crease_stay_flat():
+def test_facets_at_angles_above_the_crease_angle_remain_flat():
     mesh = trimesh.creation.cylinder(radius=0.02, height=0.05, sections=48)  # 7.5 degree steps
     normal = crease_normals(mesh.vertices, mesh.faces, np.radians(7))
     assert np.abs(normal - mesh.face_normals[:, None]).max() < 1e-9

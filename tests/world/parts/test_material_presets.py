@@ -202,7 +202,7 @@ def test_groove_keys_of_a_material_are_applied():
         ({"preset": "steel-brushed", "grain": [0, 0, 0]}, "an axis must have a direction"),
     ],
 )
-def test_grooves_without_an_effect_are_refused(words, line):
+def test_grooves_that_have_no_effect_are_refused(words, line):
     with pytest.raises((ConfigError, ValueError), match=line):
         resolved(words)
 
@@ -264,7 +264,7 @@ def test_a_transparent_material_has_the_refractive_index_of_its_source(name):
     assert abs(MATERIALS[name].material.ior - index) < 1e-4
 
 
-def test_glass_is_neither_metal_nor_has_a_texture():
+def test_glass_that_is_metal_or_has_a_texture_is_refused():
     for words, name in (({"metallic": 0.5}, "metallic"), ({"texture": TEXTURE}, "texture")):
         with pytest.raises(ValueError, match=name):
             Material(transparent="solid", **words)

@@ -101,7 +101,7 @@ def test_a_part_keeps_the_frame_of_its_mesh_file(tmp_path):
 
 
 @pytest.mark.parametrize("ending", ["obj", "glb"])
-def test_texture_and_uv_are_kept_when_seams_are_welded(tmp_path, ending):
+def test_welding_seams_keeps_texture_and_uv_coordinates(tmp_path, ending):
     """Each corner, located by its position in its face, keeps its uv; the picture its texels."""
     mesh, uv, picture = textured_box()
     mesh.export(tmp_path / f"block.{ending}")
@@ -151,7 +151,7 @@ def test_transforms_in_the_scene_of_a_glb_are_applied(tmp_path):
     assert findings == ("2 separate bodies are taken as one rigid part.",)
 
 
-def test_corrections_of_a_mesh_are_reported(tmp_path):
+def test_corrections_to_a_mesh_are_reported(tmp_path):
     mesh = box()
     faces = [*mesh.faces, np.roll(mesh.faces[3], 1), [0, 1, 1]]
     part, findings = load(write_obj(tmp_path / "block.obj", mesh.vertices, faces), unit="m")

@@ -42,7 +42,7 @@ def test_a_box_with_almost_sharp_edges_has_the_inertia_of_a_sharp_box():
     assert mesh.moment_inertia == pytest.approx(np.diag(a * b * c * squares / 12), abs=1e-10)
 
 
-def test_each_panel_of_a_box_faces_its_own_direction():
+def test_each_panel_of_a_rounded_box_faces_its_named_direction():
     vertices, faces, panel = rounded_box((0.3, 0.2, 0.1), 0.01, steps=2)
     normal = closed(vertices, faces).face_normals
     outward = {"front": -normal[:, 1], "right": normal[:, 0], "back": normal[:, 1],

@@ -70,7 +70,7 @@ def test_the_ring_is_symmetric_about_its_axis_but_not_upside_down():
     assert not estimate.discrete
 
 
-def test_the_bracket_has_its_stated_half_turn():
+def test_the_bracket_is_symmetric_by_its_stated_half_turn():
     part = builtin_part("metal_workpiece_1")
     estimate = shape_symmetry(part.mesh)
     assert len(estimate.discrete) == 1

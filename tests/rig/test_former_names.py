@@ -50,7 +50,7 @@ def test_a_former_name_of_a_scanner_gives_the_same_scanner(former, tmp_path):
     assert named_scanner(former, folder=tmp_path).rig.name == now
 
 
-def test_the_log_has_one_line_for_each_former_name(lines):
+def test_repeated_use_of_a_former_name_is_logged_once(lines):
     for name in ("phoxi-m", "like-phoxi-m", "phoxi-m", "paper", "phoxi-l", "phoxi-m"):
         preset(name, "small")
     assert lines == [
@@ -96,7 +96,7 @@ def test_a_command_with_a_former_name_prints_the_current_name(capsys):
         ("name: phoxi-m\n", "name: like-phoxi-m\n"),
     ],
 )
-def test_only_whole_former_names_are_replaced(text, current):
+def test_a_former_name_inside_a_longer_word_is_not_replaced(text, current):
     assert with_current_names(text) == current
 
 

@@ -46,7 +46,7 @@ def points_in_view(optics, seed=0):
 
 
 @ALL
-def test_projection_agrees_with_opencv(optics):
+def test_projected_points_agree_with_opencv(optics):
     point = points_in_view(optics)
     expected, _ = cv2.projectPoints(
         point, np.zeros(3), np.zeros(3), optics.K, np.array(optics.distortion)
@@ -55,7 +55,7 @@ def test_projection_agrees_with_opencv(optics):
 
 
 @ALL
-def test_rays_agree_with_opencv(optics):
+def test_rays_of_pixels_agree_with_opencv(optics):
     """OpenCV's fixed-point iteration has enough rounds to converge to 1e-12."""
     pixel = pixels_all_over(optics)
     ideal = cv2.undistortPoints(

@@ -93,7 +93,7 @@ def test_the_best_depth_is_inside_the_working_range_even_if_the_axes_cross_beyon
     assert best_depth_m(replace(rig, near_m=1.0)) == 1.0
 
 
-def test_the_best_depth_of_parallel_axes_is_the_middle_of_the_range():
+def test_the_best_depth_of_a_rig_with_parallel_axes_is_mid_range():
     assert best_depth_m(parallel_rig("x")) == pytest.approx(1.3)
 
 
@@ -116,7 +116,7 @@ def test_depth_per_column_of_a_toed_in_rig_agrees_with_a_ray_of_the_next_column(
     assert depth_per_line_m(rig, z_m, "column") == pytest.approx(expected, rel=1e-6)
 
 
-def test_depth_per_column_is_nan_where_the_projector_does_not_reach():
+def test_depth_per_column_is_nan_beyond_the_projector_s_picture():
     """The projector's edge is 400.5 columns from its middle: f b / z = 400.5 at z = 0.4494 m."""
     rig = parallel_rig("x")
     assert math.isnan(depth_per_line_m(rig, 0.449, "column"))
@@ -129,7 +129,7 @@ def test_columns_parallel_to_the_baseline_give_no_depth():
 
 
 @pytest.mark.parametrize("z_m", [0.7, 1.0, 1.7])
-def test_depth_per_row_of_a_projector_above_follows_similar_triangles(z_m):
+def test_depth_per_row_with_a_vertical_baseline_follows_similar_triangles(z_m):
     """row = const - f b / z."""
     expected_m = z_m**2 / (900.0 * 0.2)
     assert depth_per_line_m(parallel_rig("y"), z_m, "row") == pytest.approx(expected_m, rel=1e-7)
@@ -138,9 +138,7 @@ def test_depth_per_row_of_a_projector_above_follows_similar_triangles(z_m):
 @EVERY
 @pytest.mark.parametrize("azimuth_rad", [0.0, 0.4, -2.0])
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.3])
-def test_a_placed_rig_looks_at_its_target_at_the_stated_distance_and_tilt(
-    name, azimuth_rad, tilt_rad
-):
+def test_a_placed_rig_has_the_stated_target_distance_and_tilt(name, azimuth_rad, tilt_rad):
     rig, target, distance_m = preset_rig(name), np.array([0.05, -0.1, 0.02]), 0.9
     T_world_cam = place(
         rig, target_m=target, distance_m=distance_m, tilt_rad=tilt_rad, azimuth_rad=azimuth_rad
@@ -182,7 +180,7 @@ def test_the_image_of_a_tilted_rig_has_its_y_axis_down():
         ({"picture_level": 1.5}, "picture_level is 1.5: it should be less than or equal to 1"),
     ],
 )
-def test_an_impossible_rig_is_refused(change, message):
+def test_impossible_values_of_a_rig_are_refused(change, message):
     rig = parallel_rig("x")
     fields = {name: getattr(rig, name) for name in rig.__dataclass_fields__}
     with pytest.raises(ValueError, match=message):

@@ -73,7 +73,7 @@ def test_every_number_in_a_scanner_s_file_states_its_class_of_source(name):
 
 
 @EVERY
-def test_each_abbreviated_source_is_explained_at_the_head_of_its_file(name):
+def test_the_head_of_each_scanner_file_explains_its_abbreviated_sources(name):
     head = " ".join(line for line in lines_of(name) if line.startswith("#")).lower()
     names = {
         word
@@ -100,7 +100,7 @@ def test_a_base_file_that_is_unknown_or_has_its_own_base_is_refused(monkeypatch,
         shelf_entry.__wrapped__("like-phoxi-m")
 
 
-def test_a_section_of_a_file_replaces_its_base_s_whole_section():
+def test_a_section_in_a_scanner_file_replaces_the_whole_section_of_its_base():
     """The maker states the noise of the M60, and none of the MR60."""
     own, base = (shelf_entry(f"like-zivid-2plus-{name}") for name in ("mr60", "m60"))
     assert (own.camera, own.t_cam_proj_m, own.far_m) == (base.camera, base.t_cam_proj_m, base.far_m)
@@ -239,7 +239,7 @@ def test_an_office_projector_casts_its_picture_above_its_lens():
         ("cognex-3d-a5000", "lists what is missing"),
     ],
 )
-def test_a_device_without_coded_light_is_refused_with_the_reason(name, reason):
+def test_a_device_that_projects_no_coded_light_is_refused_with_the_reason(name, reason):
     assert reason in no_rig(name)
     assert "choose one of" not in no_rig(name)
     with pytest.raises(ValueError, match=reason):
@@ -247,7 +247,7 @@ def test_a_device_without_coded_light_is_refused_with_the_reason(name, reason):
 
 
 @pytest.mark.parametrize("name", ["customized", "like-zivid-3", "oval", "structured-light"])
-def test_the_error_for_an_unknown_name_lists_the_scanners(name):
+def test_the_error_for_an_unknown_scanner_lists_the_known_scanners(name):
     assert f"no rig {name!r}: choose one of paper, like-phoxi-s" in no_rig(name)
 
 

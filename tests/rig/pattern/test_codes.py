@@ -106,7 +106,7 @@ def test_the_periods_of_micro_phase_shifting_differ_by_less_than_a_seventh():
     assert len(code.frames) == 2 + 3 + 5
 
 
-def test_offset_and_stride_set_the_columns_of_a_code_on_the_projector():
+def test_offset_and_stride_set_the_projector_columns_of_a_code():
     """Value 0 starts at pixel 5, and each value is three pixels wide; bit 0 is 0 1 1 0 0 1 1 0."""
     frame = Frame(kind="gray", axis="column", bit=0)
     share = level_share(frame, 23, offset_px=5.0, stride_px=3.0)
@@ -130,7 +130,7 @@ def test_pattern_files_are_numbered_in_the_order_of_projection(tmp_path):
 
 
 @pytest.mark.parametrize("codec", CODECS)
-def test_every_codec_is_known_by_name_and_accepts_its_own_options(codec):
+def test_every_codec_has_a_name_and_accepts_its_own_options(codec):
     code = CodeSpec(codec=codec, axes=("row",)).code(320, 240)
     assert code.axes == ("row",)
     assert (code.width_px, code.height_px) == (320, 240)

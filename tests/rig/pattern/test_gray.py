@@ -38,7 +38,7 @@ def test_neighbouring_code_words_differ_in_one_bit_and_no_word_occurs_twice(widt
     assert (np.bitwise_count(step) == 1).all()
 
 
-def test_gray_code_of_integers_of_any_type_differs_in_one_bit():
+def test_neighbouring_integers_of_any_type_differ_in_one_gray_code_bit():
     word = gray_from_binary(np.arange(2**16))
     assert (np.bitwise_count(word[1:] ^ word[:-1]) == 1).all()
     assert np.array_equal(np.sort(word), np.arange(2**16))
@@ -84,7 +84,7 @@ def test_rendered_frames_begin_with_white_and_black_and_have_two_levels():
     assert set(np.unique(pictures)) == {0, 255}
 
 
-def test_column_pictures_have_vertical_stripes_and_row_pictures_horizontal_ones():
+def test_column_patterns_have_vertical_stripes_and_row_patterns_horizontal_stripes():
     code = gray(9, 6)
     for frame, picture in zip(code.frames[2:], code.render()[2:], strict=True):
         along = picture if frame.axis == "column" else picture.T

@@ -56,9 +56,7 @@ def forget():
     ("changed", "same"),
     [("shape", False), ("sizes", False), ("factors", False), ("other", True)],
 )
-def test_a_changed_constant_of_any_imported_file_changes_the_digest_of_a_kernel(
-    package, changed, same
-):
+def test_a_changed_constant_in_an_imported_file_changes_the_kernel_digest(package, changed, same):
     before = sources_digest("graycast.toy.shape")
     package[changed].write_text(package[changed].read_text() + "K = 3.0\n")
     forget()
@@ -101,7 +99,7 @@ def test_a_digest_covers_every_import_that_python_s_parser_reads():
         assert kernels.imported_modules(module) >= imports_of_syntax(module), module
 
 
-def test_the_digest_of_a_kernel_includes_the_file_of_an_imported_constant():
+def test_the_digest_of_a_kernel_covers_the_files_of_imported_constants():
     sources = all_imported_modules("graycast.camera.decode.outliers")
     assert {"graycast.base.robust", "graycast.camera.decode.median"} <= {*sources}
 
@@ -212,7 +210,7 @@ print(*_outlies(*maps, 2, 2, 2.0, 0.0), *_outlies.py_func(*maps, 2, 2, 2.0, 0.0)
 
 
 @pytest.mark.slow
-def test_a_changed_constant_in_an_imported_file_changes_the_result(tmp_path):
+def test_a_changed_constant_in_an_imported_file_takes_effect_despite_the_cache(tmp_path):
     """Oracle: the same function run by Python. Numba's own cache would use the old constant."""
     tree = tmp_path / "graycast"
     shutil.copytree(PACKAGE, tree, ignore=shutil.ignore_patterns("__pycache__"))

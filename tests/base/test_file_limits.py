@@ -46,7 +46,7 @@ OWN_CHILDREN = {
 # --- JSON ----------------------------------------------------------------------------------------
 
 
-def test_json_is_read_as_the_standard_library_reads_it():
+def test_parsed_json_equals_the_result_of_the_standard_library():
     """Oracle: the standard library's parser, compared to the last bit of random doubles."""
     rng = np.random.default_rng(36)
     value = rng.integers(0, 2**64, 20_000, dtype=np.uint64).view(np.float64)
@@ -98,7 +98,9 @@ def deep(tmp_path_factory):
         ("dataset export broken --format coco --out o", "graycast.json"),
     ],
 )
-def test_no_command_prints_a_traceback_for_deep_json(deep, capsys, monkeypatch, command, words):
+def test_no_command_prints_a_traceback_for_deeply_nested_json(
+    deep, capsys, monkeypatch, command, words
+):
     monkeypatch.chdir(deep)
     assert main(command.split()) == 1
     printed = capsys.readouterr()

@@ -150,7 +150,7 @@ sys.stdin.read()
 """
 
 
-def test_a_lock_belongs_to_one_process_and_ends_with_it(tmp_path):
+def test_a_lock_belongs_to_one_process_and_ends_with_the_process(tmp_path):
     holder = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(tmp_path / "lock")],
         stdin=subprocess.PIPE,

@@ -51,7 +51,7 @@ def test_rotations_about_an_axis_agree_with_scipy(axis):
     assert np.allclose(axis_rotation(axis, 0.7), Rotation.from_euler(axis, 0.7).as_matrix())
 
 
-def test_quaternions_agree_with_scipy_and_may_have_any_length():
+def test_quaternions_of_any_length_give_the_rotations_of_scipy():
     q = np.random.default_rng(3).normal(size=(5, 2, 4))
     expected = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(5, 2, 3, 3)
     assert np.allclose(rotation_from_quaternion(q), expected, rtol=0, atol=1e-14)

@@ -65,13 +65,13 @@ def test_each_dataset_of_a_study_is_made_by_an_existing_configuration(path):
 
 
 @pytest.mark.parametrize("path", CELLS, ids=lambda path: path.stem)
-def test_every_robot_s_cell_in_the_repository_resolves(path):
+def test_every_robot_cell_in_the_repository_can_be_resolved(path):
     cell = resolve_pick_cell(load_pick_config(path), path.parent)
     assert cell.config.picking.place_m[2] > 0
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_every_configuration_in_the_repository_resolves(path):
+def test_every_configuration_in_the_repository_can_be_resolved(path):
     config = load_config(path)
     cell = resolve_cell(config, path.parent)
     written = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -337,7 +337,7 @@ def test_the_tests_of_digests_cover_every_setting_that_names_a_file():
     }
 
 
-def test_a_cell_holds_the_digests_of_its_files(tmp_path):
+def test_a_resolved_cell_has_the_digests_of_its_files(tmp_path):
     path = write_cell(tmp_path)
     digest = hashlib.sha256((tmp_path / "box.stl").read_bytes()).hexdigest()
     assert resolve_cell(load_config(path), tmp_path).file_digests == {"box.stl": digest}

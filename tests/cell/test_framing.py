@@ -53,7 +53,7 @@ def is_inside(rig, T_world_cam, box):
 
 
 @pytest.mark.parametrize("length_m", LENGTHS_M)
-def test_the_chosen_scanner_sees_every_corner_of_the_bin_and_cannot_be_closer(length_m):
+def test_the_chosen_scanner_sees_the_whole_bin_and_cannot_be_closer(length_m):
     box = bin_of_length(length_m)
     framing = best_framing(box)
     assert framing.missing_m <= 0

@@ -332,9 +332,7 @@ def test_a_run_with_successful_scenes_continues_however_many_scenes_fail(
 
 
 @pytest.mark.slow
-def test_the_rerender_command_reproduces_a_scene_and_names_a_changed_file(
-    cell, undisturbed, tmp_path
-):
+def test_rerender_reproduces_a_scene_and_names_every_changed_file(cell, undisturbed, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(undisturbed, out)
     assert rerender(cell, out, 1, seed=0, device="cpu") == {}
@@ -386,9 +384,7 @@ def test_two_workers_make_the_same_files_as_one_worker(config_file, many, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_ctrl_c_ends_a_run_quietly_and_the_same_command_continues(
-    config_file, many, tmp_path, workers
-):
+def test_ctrl_c_ends_a_run_that_the_same_command_continues(config_file, many, tmp_path, workers):
     out = tmp_path / "out"
     command = ("generate", config_file, "--out", out, "--scenes", 12, "--workers", workers)
     with start(*command) as run:

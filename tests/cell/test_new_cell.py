@@ -28,9 +28,7 @@ def test_a_new_configuration_lists_all_units():
 @pytest.mark.parametrize(
     "name", [slow("a: b #1.stl"), 'it\'s "big" {v2}.stl', slow("größe, 5 %.stl")]
 )
-def test_the_mesh_and_the_folder_of_a_new_cell_may_have_any_name(
-    tmp_path, monkeypatch, capsys, name
-):
+def test_a_new_cell_s_mesh_and_folder_may_have_any_name(tmp_path, monkeypatch, capsys, name):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.06)).export("block.stl")
     (tmp_path / "block.stl").rename(tmp_path / name)
@@ -106,9 +104,7 @@ def test_a_builtin_part_gets_the_surface_that_was_asked_for(tmp_path, monkeypatc
 
 
 @pytest.mark.slow
-def test_the_printed_line_about_a_new_cell_agrees_with_its_configuration(
-    tmp_path, monkeypatch, capsys
-):
+def test_the_printed_line_about_a_new_cell_is_correct(tmp_path, monkeypatch, capsys):
     """Oracle: the share and the width that the configuration itself gives, at two resolutions."""
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box((0.02, 0.03, 0.044)).export("block.stl")

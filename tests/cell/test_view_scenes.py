@@ -95,9 +95,7 @@ def test_images_of_a_scene_share_one_layout_and_have_independent_noise(shots):
     assert "drop" not in shots[1].sample.manifest["timings"]
 
 
-def test_the_first_image_equals_the_image_of_a_cell_without_views(
-    shots, tmp_path, mitsuba_renderer
-):
+def test_the_first_view_equals_a_cell_without_views(shots, tmp_path, mitsuba_renderer):
     alone = make_scene(cell_of(tmp_path / "alone"), 1, seed=3, renderer=mitsuba_renderer).sample
     first = shots[0].sample
     for name in ("rgb", "gray", "modulation"):

@@ -56,7 +56,7 @@ def is_log_uniform(values, low, high):
     return is_uniform(np.log(values), math.log(low), math.log(high))
 
 
-def test_the_pose_of_the_rig_has_the_stated_distributions(records):
+def test_the_drawn_pose_of_the_rig_has_the_stated_distributions(records):
     cameras = [record["camera"] for record in records]
     assert is_log_uniform([d["distance_factor"] for d in cameras], 0.8, 2.0)
     assert is_uniform(np.degrees([d["tilt_rad"] for d in cameras]), -20, 40)
@@ -262,7 +262,7 @@ def test_lamps_for_which_no_place_is_free_are_refused():
         draw(domain(scene, settings), scene, (1, 1), np.random.default_rng(0))
 
 
-def test_a_rig_that_would_be_below_the_rim_is_refused():
+def test_a_domain_that_could_put_the_rig_below_the_rim_is_refused():
     scene = cell()
     settings = {"kind": "randomized", "camera": {"tilt_deg": [80, 80]}}
     with pytest.raises(ConfigError, match=r"domain\.camera: camera or projector comes to z = "):

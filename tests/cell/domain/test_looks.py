@@ -17,9 +17,7 @@ from graycast.world.parts import Material
         (60.0, 0.5, 1.0, (255, 255, 128)),
     ],
 )
-def test_a_drawn_hsv_colour_equals_the_srgb_colour_of_a_colour_picker(
-    hue_deg, saturation, value, encoded
-):
+def test_a_drawn_hsv_colour_equals_that_in_a_colour_picker(hue_deg, saturation, value, encoded):
     color = {"hue_deg": hue_deg, "saturation": saturation, "value": value}
     assert srgb(np.array(color_of(color))).tolist() == list(encoded)
 

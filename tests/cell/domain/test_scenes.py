@@ -85,7 +85,7 @@ def test_the_manifest_of_a_random_scene_reproduces_the_scene(random_scenes):
     assert np.abs(poses[0] - poses[1]).max() > 1e-3
 
 
-def test_one_seed_gives_one_random_scene(random_scenes, tmp_path):
+def test_one_seed_gives_the_same_random_scenes_again(random_scenes, tmp_path):
     _, _, out = random_scenes
     _, _, again = dataset_of(tmp_path / "again", 3, domain=RANDOM, count=[4, 8])
     assert content(again) == content(out)
@@ -105,7 +105,7 @@ def test_a_domain_without_tolerances_gives_the_same_files_as_no_domain(tmp_path)
     assert exact == plain
 
 
-def test_tolerances_change_the_pictures_and_the_poses(tmp_path):
+def test_tolerances_of_a_domain_change_pictures_and_poses(tmp_path):
     _, _, plain = dataset_of(tmp_path / "plain", 1)
     _, shots, adapted = dataset_of(tmp_path / "adapted", 1, domain="adapted")
     assert validate(adapted) == ()

@@ -229,7 +229,7 @@ def test_the_pose_of_the_rig_is_within_its_tolerance():
 
 
 @pytest.mark.parametrize(("share", "less"), [(0.05, 0.005), (0.5, 0.085)])
-def test_a_lamp_gives_the_stated_irradiance(share, less):
+def test_a_drawn_lamp_gives_the_stated_irradiance(share, less):
     """Oracle: radiance integrated over the lamp's square, L cos cos / r^2, at the bin's middle."""
     scene = cell()
     record = {"distance_m": 1.6, "elevation_rad": 0.7, "azimuth_rad": 2.0, "size_m": 1.6 * share,
@@ -282,9 +282,7 @@ def test_default_distractors_that_are_too_large_for_the_bin_are_omitted():
     assert [part.name for part in domain(scene, "randomized").distractors] == ["metal_workpiece_2"]
 
 
-def test_files_of_a_domain_are_sorted_by_name_whatever_their_order_on_disk(
-    full, monkeypatch, tmp_path
-):
+def test_files_of_a_domain_are_sorted_by_name(full, monkeypatch, tmp_path):
     own = full[1]
     assert [file.name for file in own.maps] == ["a.exr", "b.hdr"]
     listed = Path.iterdir

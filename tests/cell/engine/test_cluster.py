@@ -54,9 +54,7 @@ def test_all_processors_of_a_cluster_share_its_gpus(resources, threads, scenes_o
 
 
 @pytest.mark.slow
-def test_the_error_for_a_cluster_that_does_not_answer_names_its_address(
-    config_file, tmp_path, capsys
-):
+def test_the_error_for_an_unreachable_cluster_names_it(config_file, tmp_path, capsys):
     command = ["generate", str(config_file), "--out", str(tmp_path / "out"), "--engine", "ray"]
     assert main([*command, "--address", "127.0.0.1:9"]) == 1
     message = capsys.readouterr().err

@@ -212,9 +212,7 @@ def test_workers_end_with_the_run_that_started_them(config_file, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("word", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_run_leaves_behind_no_process_and_no_file(
-    config_file, tmp_path, monkeypatch, word
-):
+def test_a_stopped_run_leaves_no_process_and_no_file(config_file, tmp_path, monkeypatch, word):
     out, temporary = tmp_path / "out", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
@@ -241,9 +239,7 @@ SCENES, WORKER_KILLS, RUN_KILLS = 40, 8, 3
 
 
 @pytest.mark.slow
-def test_killing_workers_or_runs_does_not_change_the_finished_dataset(
-    config_file, undisturbed, tmp_path
-):
+def test_killing_workers_or_runs_does_not_change_the_dataset(config_file, undisturbed, tmp_path):
     """`kill -9` hits a random worker 8 times and the whole run 3 times during its work."""
     rng, out = np.random.default_rng(5), tmp_path / "out"
     command = ("generate", config_file, "--out", out, "--scenes", SCENES, "--workers", 2)

@@ -82,7 +82,7 @@ def test_three_failures_of_a_scene_give_up_only_this_scene():
 
 
 @pytest.mark.parametrize("error", [DropError("no rest"), ValueError("dark")])
-def test_a_scene_that_would_fail_again_is_given_up_at_once(error):
+def test_a_scene_whose_error_would_recur_is_given_up_at_once(error):
     _, failed, submitted = outcomes({4: [error]})
     assert [(f.scene_id, f.tries, f.final) for f in failed] == [(4, 1, True)]
     assert submitted[4] == 1
@@ -99,7 +99,7 @@ def test_losing_scene_after_scene_ends_the_run():
     assert all(isinstance(o, Failed) and not o.final for o in results[-13:])
 
 
-def test_scenes_that_are_lost_occasionally_do_not_end_a_run():
+def test_occasionally_failing_scenes_do_not_end_a_run():
     script = {scene_id: [WorkerDied("killed")] for scene_id in range(0, 80, 2)}
     script |= {
         scene_id: [DropError("no rest")] for scene_id in range(80, 100)

@@ -143,6 +143,7 @@ FIGURES: dict[str, tuple[str, list[Option]]] = {
                 metavar="SHARE",
                 help="The reflectance of all other pixels, if they show a matt surface.",
             ),
+            of("--metal", action="store_true", help="The masks are known to show metal."),
             of(
                 "--out",
                 type=Path,

@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -39,6 +40,7 @@ from graycast.real.material import (
     MaterialFit,
     MaterialScan,
     fit_material,
+    fit_mottle,
     open_scan,
     read_masks,
     scale_of,
@@ -96,6 +98,7 @@ def measure(
     rig: Path,
     masks: Sequence[Path],
     reflectance: float | None,
+    metal: bool,
     out: Path,
     samples: int,
     show: Show,
@@ -105,6 +108,7 @@ def measure(
     Args:
         reflectance: reflectance of the pixels outside of the masks, if they show a matt surface of
             known reflectance. None takes the intensity of the light from the first mask's fit.
+        metal: whether the masks are known to show metal, which may scatter a part of its light.
 
     Raises:
         GraycastError: the stack cannot be decoded, or a material cannot be fitted.
@@ -115,8 +119,9 @@ def measure(
     regions = {path.stem: read_masks([path]) for path in masks}
     masked = np.logical_or.reduce([*regions.values()])
     regions[REST] = ~masked
-    fits = fitted(real.scan, regions, reflectance, show)
-    scene, layout = staged(real, regions, {name: fit.material for name, fit in fits.items()})
+    fits = fitted(real.scan, regions, reflectance, metal, show)
+    materials = {name: with_mottle(real.scan, regions[name], fit) for name, fit in fits.items()}
+    scene, layout = staged(real, regions, materials)
     folder = acted(real, scene, layout, masked, out / "stack", samples, show)
     own = opened(folder, scanner)
     draw(real, own, out / "reenactment.png")
@@ -142,7 +147,11 @@ def opened(stack: Path, scanner: Scanner) -> Pictures:
 
 
 def fitted(
-    scan: MaterialScan, regions: Mapping[str, Mask], reflectance: float | None, show: Show
+    scan: MaterialScan,
+    regions: Mapping[str, Mask],
+    reflectance: float | None,
+    metal: bool,
+    show: Show,
 ) -> dict[str, MaterialFit]:
     """Fit a material to each region; the intensity of the light is one number for the scan."""
     scale = None
@@ -151,9 +160,17 @@ def fitted(
     fits: dict[str, MaterialFit] = {}
     for name, mask in regions.items():
         show(f"the material {name} is fitted")
-        fits[name] = fit_material(scan.observations(mask), scale=scale, seed=0)
+        kind: Literal["metal"] | None = "metal" if metal and name != REST else None
+        fits[name] = fit_material(scan.observations(mask), scale=scale, kind=kind, seed=0)
         scale = scale or fits[name].scale
     return fits
+
+
+def with_mottle(scan: MaterialScan, mask: Mask, fit: MaterialFit) -> Material:
+    """Return a fitted material with its mottle, unless a laser's speckle hides the mottle."""
+    if scan.scanner.rig.speckle_contrast:
+        return fit.material
+    return fit_mottle(scan, mask, seed=0).on(fit.material)
 
 
 def staged(

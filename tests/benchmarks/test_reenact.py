@@ -35,7 +35,7 @@ def test_a_simulated_scan_is_predicted_from_its_own_depth(scene, tmp_path):
     cv2.imwrite(str(tmp_path / "parts.png"), np.max(masks, axis=0))
     stack, rig = scene / "frames" / "stack.yaml", scene / "frames" / "rig.yaml"
     figures = reenact.measure(
-        stack, rig, [tmp_path / "parts.png"], 0.5, tmp_path / "out", 32, lambda text: None
+        stack, rig, [tmp_path / "parts.png"], 0.5, False, tmp_path / "out", 32, lambda text: None
     )
     parts, rest, _ = figures["rows"]
     assert abs(parts["roughness"] - 0.5) < 0.02 and abs(parts["color"] - 0.3) < 0.015

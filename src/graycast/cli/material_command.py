@@ -14,7 +14,8 @@ The surface is metal or plastic, with a base colour and a roughness. The command
 projector's direct light in each pixel with the renderer's own model of surfaces at the directions
 of camera and projector, and states a 95 % interval for each number. It writes the material as a
 YAML file, whose keys fit into the section material of a configuration, and a plot of the measured
-and the fitted light next to it. Metal needs --reference, because its base colour and the intensity
+and the fitted light next to it. The mottle, such as the grain of blasted metal, is fitted, too, but
+not to the scans of a laser. Metal needs --reference, because its base colour and the intensity
 of the projector change the light in the same way. Grooves, films and glass are not fitted."""
 
 
@@ -42,17 +43,26 @@ def add_material(group) -> None:
         "The reflectance of the surface of --reference at the projector's wavelength, from 0 to 1.",
         metavar="SHARE",
     )  # fmt: skip
+    add_option(
+        material, "--kind", ("metal", "plastic"),
+        "The kind of the surface, if it is known. The share of light that a metal scatters, as a "
+        "blasted or anodised one does, is fitted only with --kind metal.",
+        usual="the kind that explains the light better",
+    )  # fmt: skip
     add_out(material, "The YAML file to write, which must be new.")
     add_shared(material, "--seed", default=0)
 
 
 def _material(options: argparse.Namespace) -> None:
+    import numpy as np
+
     from ..base.folder import write_whole
     from ..real.fitted_config import refuse_there
     from ..real.material import (
         describe_fit,
         draw_fit,
         fit_material,
+        fit_mottle,
         material_text,
         open_scan,
         read_masks,
@@ -77,9 +87,18 @@ def _material(options: argparse.Namespace) -> None:
         scale = scale_of(scan.observations(white), options.reflectance)
         mask = ~white if mask is None else mask
     observations = scan.observations(mask)
-    fit = fit_material(observations, scale=scale, seed=options.seed)
-    print("\n".join(describe_fit(fit)))
-    write_whole(options.out, material_text(fit, options.stack.name).encode())
+    fit = fit_material(observations, scale=scale, kind=options.kind, seed=options.seed)
+    mottle = None
+    if scan.scanner.rig.speckle_contrast:
+        print("note: mottle is not fitted, because the speckle of the laser looks like it")
+    else:
+        try:
+            area = np.ones(scan.surface_m.shape, dtype=bool) if mask is None else mask
+            mottle = fit_mottle(scan, area, seed=options.seed)
+        except GraycastError as error:
+            print(f"note: mottle is not fitted: {error}")
+    print("\n".join(describe_fit(fit, mottle)))
+    write_whole(options.out, material_text(fit, options.stack.name, mottle).encode())
     draw_fit(fit, observations, plot)
     print(options.out)
     print(plot)

@@ -16,7 +16,8 @@ Leaves out: grooves, films, glass, and stripes reflected by mirrors, which count
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -25,7 +26,15 @@ from scipy import optimize
 from ...base.errors import GraycastError
 from ...world.parts import Material
 from .observing import Reflections
-from .surface_model import KINDS, Kind, SurfaceModel, color_weights, surface
+from .surface_model import (
+    KINDS,
+    METAL_COLOR,
+    SCALE_SIGMA,
+    Kind,
+    SurfaceModel,
+    color_weights,
+    surface,
+)
 
 MOST_PIXELS = 1500  # More pixels do not narrow the intervals, because they share normals.
 BINS = 12  # Pixels are drawn evenly from this many bins of half angle.
@@ -34,7 +43,7 @@ FINE_STEPS, FINE_SPAN = (0.025, 0.01, 0.0025), 4  # Steps of roughness, and thei
 LIKELY = 7  # As many likely values of roughness give a smooth profile.
 LEAST = 0.03  # Of roughness; the normals of a scan cannot tell smaller values apart.
 # Limits of the base colour. No bare metal reflects less than 0.2, as black plastic does.
-DARKEST: Mapping[Kind, float] = {"metal": 0.2, "plastic": 0.002}
+DARKEST: Mapping[Kind, float] = {"metal": 0.2, "plastic": 0.002, "scattering metal": 0.002}
 BRIGHTEST = 0.998
 LIMIT = 1.92  # Half of the 95 % quantile of chi squared with one degree of freedom.
 FEWEST = 100
@@ -60,7 +69,8 @@ class MaterialFit:
     `color` is the base colour at the projector's wavelength. `scale` is the light of a BSDF of 1
     per steradian; it is `known` from a reference, or fitted. `scatter` is the relative spread of
     the light of single pixels: grain, speckle and uneven normals. `lead` is the difference of log
-    likelihoods by which `kind` is preferred to the other kind.
+    likelihoods by which `kind` is preferred to the other kind; it is infinite for a stated kind.
+    `diffuse` is the share of the light that a metal scatters in all directions, if it was fitted.
     """
 
     kind: Kind
@@ -72,10 +82,12 @@ class MaterialFit:
     lead: float
     pixels: int
     angles_rad: tuple[float, float]  # 2nd and 98th percentile of the half angle
+    diffuse: FittedValue | None = None
 
     @property
     def material(self) -> Material:
-        return surface(self.kind, self.color.value, self.roughness.value)
+        own = surface(self.kind, self.color.value, self.roughness.value)
+        return own if self.diffuse is None else replace(own, diffuse=self.diffuse.value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,12 +102,18 @@ class _Curve:
 
 
 def fit_material(
-    observations: Reflections, *, scale: float | None = None, seed: int
+    observations: Reflections,
+    *,
+    scale: float | None = None,
+    kind: Literal["metal", "plastic"] | None = None,
+    seed: int,
 ) -> MaterialFit:
     """Fit kind, base colour and roughness to the observations of one surface.
 
     Args:
         scale: see `MaterialFit.scale` and `scale_of`; None fits the scale as well.
+        kind: the kind of the surface, if it is known. The scattered share of a metal is fitted only
+            then, because without a known scale the light of plastic has the same shape.
         seed: seed for the choice of pixels.
 
     Raises:
@@ -108,12 +126,67 @@ def fit_material(
         )
     subset, windows = _choose(observations, np.random.default_rng(seed))
     weight = min(1.0, windows / len(subset))
+    if kind == "metal":
+        return _scattering(SurfaceModel(subset, None, weight), observations, scale)
     model = SurfaceModel(subset, scale, weight)
-    fits = {kind: _search(model, kind) for kind in KINDS}
-    best = {kind: max(curves, key=lambda one: one.score) for kind, curves in fits.items()}
-    kind = max(KINDS, key=lambda one: best[one].score)
-    other = next(one for one in KINDS if one != kind)
-    curves, top = fits[kind], best[kind]
+    kinds = KINDS if kind is None else (kind,)
+    fits = {one: _search(model, one) for one in kinds}
+    best = {one: max(curves, key=lambda curve: curve.score) for one, curves in fits.items()}
+    own = max(kinds, key=lambda one: best[one].score)
+    curves, top = fits[own], best[own]
+    others = [best[one].score for one in kinds if one != own]
+    return MaterialFit(
+        kind=own,
+        color=_color_interval(model, own, curves),
+        roughness=_interval([c.roughness for c in curves], [c.score for c in curves]),
+        scale=top.scale,
+        known=scale is not None,
+        scatter=top.scatter,
+        lead=top.score - max(others, default=-math.inf),
+        pixels=len(observations),
+        angles_rad=_seen_angles(observations, top),
+    )
+
+
+def _scattering(model: SurfaceModel, observations: Reflections, scale: float | None) -> MaterialFit:
+    """Fit roughness and scattered share of a metal; a known scale gives the base colour.
+
+    The base colour multiplies the light, and follows from the fitted scale over the known one.
+    """
+    curves = _search(model, "scattering metal")
+    top = max(curves, key=lambda one: one.score)
+    likely = [one.scale for one in curves if one.score > top.score - LIMIT]
+    color = FittedValue(value=METAL_COLOR, low=DARKEST["metal"], high=1.0)
+    if scale is not None:
+        value, low, high = (
+            METAL_COLOR * one / scale for one in (top.scale, min(likely), max(likely))
+        )
+        sure = 1.96 * SCALE_SIGMA
+        color = FittedValue(
+            value=min(value, BRIGHTEST),
+            low=min(low * (1 - sure), 1.0),
+            high=min(high * (1 + sure), 1.0),
+        )
+    return MaterialFit(
+        kind="metal",
+        color=color,
+        roughness=_interval([c.roughness for c in curves], [c.score for c in curves]),
+        scale=top.scale if scale is None else scale,
+        known=scale is not None,
+        scatter=top.scatter,
+        lead=math.inf,
+        pixels=len(observations),
+        angles_rad=_seen_angles(observations, top),
+        diffuse=_color_interval(model, "scattering metal", curves),
+    )
+
+
+def _seen_angles(observations: Reflections, top: _Curve) -> tuple[float, float]:
+    """Return the 2nd and 98th percentile of the half angle, if they determine the best fit.
+
+    Raises:
+        GraycastError: no pixel shows the highlight, or the light is that of no opaque material.
+    """
     if top.scatter > MOST_SCATTER:
         raise GraycastError(
             f"the light of the pixels scatters by {top.scatter:.0%} about any opaque material: "
@@ -125,17 +198,7 @@ def fit_material(
             f"no pixel shows the highlight: half angles begin at {math.degrees(low):.0f} degrees, "
             "and the surface is polished like a mirror: scan parts that lie in more directions"
         )
-    return MaterialFit(
-        kind=kind,
-        color=_color_interval(model, kind, curves),
-        roughness=_interval([c.roughness for c in curves], [c.score for c in curves]),
-        scale=top.scale,
-        known=scale is not None,
-        scatter=top.scatter,
-        lead=top.score - best[other].score,
-        pixels=len(observations),
-        angles_rad=(float(low), float(high)),
-    )
+    return float(low), float(high)
 
 
 def scale_of(white: Reflections, reflectance: float) -> float:

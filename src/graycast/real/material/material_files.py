@@ -7,6 +7,7 @@ import numpy as np
 
 from ...base.plotting import ACCENT, SECOND, SOFT, caption, legend_below, plain_figure, save_png
 from .fitting import WIDE, FittedValue, MaterialFit
+from .mottle import MottleFit
 from .observing import Reflections
 from .surface_model import mean_light
 
@@ -16,7 +17,7 @@ MOST_POINTS = 4000
 BINS = 24
 
 
-def describe_fit(fit: MaterialFit) -> list[str]:
+def describe_fit(fit: MaterialFit, mottle: MottleFit | None = None) -> list[str]:
     """Return printed lines with the result, and notes on anything that the scan leaves open."""
     low, high = (math.degrees(angle) for angle in fit.angles_rad)
     lines = [
@@ -26,6 +27,15 @@ def describe_fit(fit: MaterialFit) -> list[str]:
         f"base colour    {_number(fit.color, SPAN)}, at the projector's wavelength",
         f"scatter        {fit.scatter:.1%} of the light of single pixels",
     ]
+    if fit.diffuse is not None:
+        lines.append(f"diffuse        {_number(fit.diffuse, SPAN)}, the scattered share")
+    if mottle is not None:
+        low_m, high_m = mottle.length_m.low, mottle.length_m.high
+        span = f" ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})" if not mottle.limit else ""
+        lines.append(
+            f"mottle         {_number(mottle.spread, SPAN)}, of "
+            f"{mottle.limit}{1e3 * mottle.length_m.value:.2f} mm{span}"
+        )
     if fit.roughness.high - fit.roughness.low > WIDE:
         lines.append(
             f"note: roughness is not determined: all half angles are from {low:.0f} to {high:.0f} "
@@ -39,7 +49,7 @@ def describe_fit(fit: MaterialFit) -> list[str]:
     return lines
 
 
-def material_text(fit: MaterialFit, source: str) -> str:
+def material_text(fit: MaterialFit, source: str, mottle: MottleFit | None = None) -> str:
     """Return the material as a section of a configuration, with intervals as comments."""
     lines = [
         f"# Fitted to {source}: {fit.pixels} pixels.",
@@ -50,7 +60,16 @@ def material_text(fit: MaterialFit, source: str) -> str:
     lines.append(f"metallic: {float(fit.kind == 'metal')}{_comment(_doubt(fit))}")
     rough = f"{fit.roughness.value:.3f}"
     lines += _line("roughness", rough, fit.roughness, WIDE, "")
+    if fit.diffuse is not None:
+        share = f"{fit.diffuse.value:.3f}"
+        lines += _line("diffuse", share, fit.diffuse, SPAN, "the scattered share")
     lines.append("specular: 0.5  # assumed: a coat of refractive index 1.5; metal has no coat")
+    if mottle is not None:
+        share = f"{mottle.on(fit.material).mottle:.3f}"
+        lines += _line("mottle", share, mottle.spread, SPAN, "")
+        length = mottle.length_m
+        span = mottle.limit or f"{length.low:.6f} to {length.high:.6f}"
+        lines.append(f"mottle_length_m: {length.value:.6f}{_comment(span)}")
     lines.append(f"# The light of single pixels scatters by {fit.scatter:.1%} about this material.")
     return "\n".join(lines) + "\n"
 

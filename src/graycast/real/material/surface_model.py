@@ -16,8 +16,12 @@ from scipy import special
 from ...world.parts import Material
 from .observing import Reflections
 
-Kind: TypeAlias = Literal["metal", "plastic"]
+Kind: TypeAlias = Literal["metal", "plastic", "scattering metal"]
+# These kinds are compared. A scattering metal looks like plastic of another brightness, so that it
+# is fitted only to a surface that is known to be metal.
 KINDS: tuple[Kind, ...] = ("metal", "plastic")
+# A scattering metal has this base colour; another one multiplies its light by almost one factor.
+METAL_COLOR = 0.6
 FREEDOM = 4.0  # Degrees of freedom of Student's t distribution.
 COLORS = (0.0, 0.25, 0.6, 1.0)  # Nodes of base colour; the BSDF is a smooth function of it.
 TILTS = 21  # The number of tilts of a normal that represent its uncertainty.
@@ -26,7 +30,10 @@ SCALE_SIGMA = 0.02  # Relative standard deviation of a scale from a white refere
 
 
 def surface(kind: Kind, color: float, roughness: float) -> Material:
-    """Return a grey material of a kind."""
+    """Return a grey material of a kind; for a scattering metal, `color` is its scattered share."""
+    if kind == "scattering metal":
+        grey = (METAL_COLOR,) * 3
+        return Material(base_color=grey, metallic=1.0, roughness=roughness, diffuse=color)
     metallic = float(kind == "metal")
     return Material(base_color=(color,) * 3, metallic=metallic, roughness=roughness)
 

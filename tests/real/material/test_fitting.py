@@ -11,6 +11,7 @@ from graycast.real.material.fitting import fit_material, scale_of
 from graycast.real.material.material_files import describe_fit, draw_fit, material_text
 from graycast.real.material.observing import Reflections
 from graycast.real.material.surface_model import SurfaceModel, mean_light, surface
+from graycast.world.parts import Material
 from graycast.world.parts.material_section import MaterialSection, resolve_material
 
 SCALE = 5000.0
@@ -89,6 +90,27 @@ def test_a_saturated_highlight_does_not_make_metal_rougher(cpu_device):
     fit = fit_material(Reflections(**names), scale=SCALE, seed=0)
     assert fit.roughness.value == pytest.approx(0.3, abs=0.02)
     assert believed.roughness.value > 0.35
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [SCALE, None])
+def test_a_known_metal_gets_its_scattered_share(cpu_device, scale):
+    """Oracle: the renderer's BSDF of a metal that scatters 40 % of its light."""
+    true = Material(base_color=(0.8,) * 3, metallic=1.0, roughness=0.35, diffuse=0.4)
+    pixels = lit(heap(2000, widest_rad=0.6, seed=3), true)
+    fit = fit_material(pixels, scale=scale, kind="metal", seed=0)
+    assert fit.roughness.value == pytest.approx(0.35, abs=0.02)
+    assert fit.diffuse.low <= 0.4 <= fit.diffuse.high
+    assert fit.diffuse.value == pytest.approx(0.4, abs=0.05)
+    ratio = pixels.light / (fit.scale * mean_light(pixels, fit.material))
+    assert np.median(ratio) == pytest.approx(1, abs=0.03)
+    text = material_text(fit, "stack.yaml")
+    if scale is None:
+        assert "# base_color is not determined" in text
+    else:
+        assert fit.color.low <= 0.8 <= fit.color.high
+        assert fit.color.value == pytest.approx(0.8, rel=0.05)
+    assert "diffuse: 0." in text
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ as mottle finer than a pixel; mottle much longer than the neighbourhood.
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,7 +35,7 @@ LEAST_PX, LEAST_BLOCKS = 400, 8
 LIMIT = 0.4  # Pixels that are farther from their neighbourhood's median show edges, not mottle.
 DRAWS = 400
 FINEST = 0.3  # A finer mottle is averaged by each pixel, so that its length is not determined.
-LENGTHS = np.geomspace(FINEST, 8.0, 400)  # L in pixels; the neighbourhood removes a longer mottle.
+LENGTHS = np.geomspace(FINEST, 4.0, 400)  # L in pixels; the neighbourhood removes a longer mottle.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,14 +166,15 @@ def _solved(sums: Float[np.ndarray, " 6"], pixel_m: float) -> tuple[float, float
     """Return spread and length [m]."""
     variance = max(float(sums[0] / max(sums[1], 1.0)), 1e-12)
     beside = float((sums[2] + sums[4]) / max(sums[3] + sums[5], 1.0))
-    own, next_to = _shared(LENGTHS, 0), _shared(LENGTHS, 1)
+    own, next_to = _shared(0), _shared(1)
     length_px = float(np.interp(beside / variance, next_to / own, LENGTHS))
     spread = (variance / float(np.interp(length_px, LENGTHS, own**2))) ** 0.5
     return spread, length_px * pixel_m
 
 
-def _shared(length_px: Float[np.ndarray, " n"], lag: int) -> Float[np.ndarray, " n"]:
-    """Return h(lag) for lengths in pixels, by the trapezoidal rule."""
+@cache
+def _shared(lag: int) -> Float[np.ndarray, " n"]:
+    """Return h(lag) of LENGTHS, by the trapezoidal rule."""
     t = np.linspace(-1, 1, 401)
-    values = (1 - np.abs(t)) * np.exp(-(((t + lag) / length_px[:, None]) ** 2))
+    values = (1 - np.abs(t)) * np.exp(-(((t + lag) / LENGTHS[:, None]) ** 2))
     return np.trapezoid(values, t, axis=1)

@@ -14,7 +14,7 @@ from ..rig.optics import Optics, rays
 OUTLIER_SIGMAS = 2.5  # The second fit leaves out neighbours this many sigmas from the first plane.
 LEAST_SHARE = 0.4  # A window has a normal only if this share of its pixels is on one surface.
 ROUNDING = 1e-6  # Neighbours nearer to the plane than this share of the depth are no outliers.
-STEEP = 3.0  # The steepest surface: change of depth per width, which is 72 degrees to the ray.
+STEEP = 3.0  # Steepest surface [depth per width]: its normal is 72 degrees from the ray.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

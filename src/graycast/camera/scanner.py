@@ -347,7 +347,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
 
 
 _LASER_PSF_PX, _DLP_PSF_PX = 1.0, 0.5  # Our choice: pixels of micromirrors have sharper borders.
-# These follow from the noise on black, white and slopes in five scans (docs/measurements/rigs.md).
+# The noise on black, white and slopes in five scans gives these (docs/measurements/rigs.md).
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
 # In the middle of its range, at 1.51 m, like-phoxi-l then has the temporal noise that the maker
 # states without a distance (docs/measurements/accuracy.md); at 1.24 m it has two thirds of that.

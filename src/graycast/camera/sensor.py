@@ -235,7 +235,7 @@ def expose(
     dark = np.zeros(h * w, dtype=np.float32) if background is None else background.reshape(h * w)
     light = np.ascontiguousarray(radiance.reshape(n, h * w)).view(), dark.view()
     for values in light:
-        values.flags.writeable = False  # One kind of array, so the kernel is compiled only once.
+        values.flags.writeable = False  # Numba compiles a kernel once if all arrays are read-only.
     shot = _Shot(
         scale=sensor.responsivity * exposure_s,
         dark_e=sensor.dark_current_e_s * exposure_s,
@@ -377,7 +377,7 @@ def _expose(radiance, background, frames, shot):
                 counted_e = np.float64(_poisson(mean_e, _mix(bits)))
                 signal_e = min(counted_e, shot.full_well_e) + read_noise_e * first
             elif mean_e + 7.0 * math.sqrt(mean_e) < shot.full_well_e:
-                # No draw reaches the well (32 bits end at 6.8 sigma), so one number is enough.
+                # No draw reaches the well (32 bits end at 6.8 sigma), so one draw is enough.
                 signal_e = mean_e + math.sqrt(mean_e + read_noise_e * read_noise_e) * first
             else:
                 counted_e = min(mean_e + math.sqrt(mean_e) * first, shot.full_well_e)

@@ -191,7 +191,7 @@ def speckled(stack: Float[np.ndarray, "n h w"], speckle: Speckle) -> Float[np.nd
     maps = (stack, speckle.brightness, speckle.right_px, speckle.down_px)
     seen = [np.ascontiguousarray(each, dtype=np.float32).view() for each in maps]
     for each in seen:
-        each.flags.writeable = False  # One kind of array, so the kernel is compiled only once.
+        each.flags.writeable = False  # Numba compiles a kernel once if all arrays are read-only.
     _weigh(*seen, out)
     return out
 

@@ -10,10 +10,10 @@ from jaxtyping import Float32, Int
 from ...base.kernels import kernel
 from .reasons import Reason
 
-# An edge of the base bit flips all bits that are combined with it. Several weak bits are therefore
-# no contradiction there, and only noise makes them doubtful. But scattered light leaves little
-# signal, and then other errors flip bits anywhere. So a bit whose error is costly must also have
-# `XOR_DOUBT` of the signal that is required of other bits; below 1, as the base bit has edges, too.
+# An edge of the base bit flips all bits that are combined with it, so several weak bits are no
+# contradiction there, and only noise makes them doubtful. But scattered light leaves little signal,
+# and then other errors flip bits anywhere. So a costly bit must also have `XOR_DOUBT` of the signal
+# that other bits need: below 1 because the base bit has edges, too.
 XOR_SIGMAS = 3.0
 XOR_DOUBT = 2 / 3
 # The signal of a fine bit has an error of this share of the contrast in addition to its noise. Its
@@ -138,7 +138,7 @@ def _read_bits(stack, y, bits, light, margin, value):
             here, base = np.int32(count - 1 - b), np.int32(count - 1 - bits[b, 2])
             for x in range(w):
                 value[x] ^= ((value[x] >> base) & np.int32(1)) << here
-    for x in range(w):  # Gray to binary: prefix exclusive-or of up to 32 bits
+    for x in range(w):  # Convert Gray to binary by a prefix exclusive-or of up to 32 bits.
         word = value[x] ^ (value[x] >> np.int32(16))
         word ^= word >> np.int32(8)
         word ^= word >> np.int32(4)

@@ -336,7 +336,7 @@ def _smooth(framed, inverse, noise, step_tan, kernel, smooth, smooth_sigma):
                 first, second = noise[y - dy, x - dx], noise[y + dy, x + dx]
                 pair = first * first + second * second
                 off = line - middle
-                # A pixel on the line of both is equally steep to each. NaN compares as false.
+                # On the line of two neighbours, a pixel is equally steep to each; NaN gives False.
                 if off * off <= LINE_SIGMAS**2 * (own + 0.25 * pair) and (
                     _steepness(framed, y, x, y + dy, x + dx, step_tan) == 0
                 ):

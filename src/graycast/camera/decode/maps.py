@@ -20,8 +20,8 @@ WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
 class Mark(IntFlag):
     """Properties of a pixel in addition to its reason."""
 
-    CLIPPED = 1  # A frame that determines its position is saturated.
-    SETTLED = 2  # Its phases allow several positions, and its neighbours chose one of them.
+    CLIPPED = 1  # A frame that determines the pixel's position is saturated.
+    SETTLED = 2  # The pixel's phases allow several positions; its neighbours chose one.
 
 
 @public_value
@@ -276,7 +276,7 @@ class DepthMap:
     def is_wrong(self, true_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
         """Return a mask of the pixels whose depth is wrong by more than both limits."""
         off_m = np.abs(self.depth_m - true_m)
-        with np.errstate(invalid="ignore"):  # NaN: no depth, or no surface
+        with np.errstate(invalid="ignore"):  # NaN means no depth or no surface.
             return (off_m > WRONG_M) & (off_m > WRONG_SIGMAS * self.sigma_m)
 
     def points(self) -> Float[np.ndarray, "n 3"]:

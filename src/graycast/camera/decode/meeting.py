@@ -145,7 +145,7 @@ def place_px(ray, n, depth_m, T, lens):
     if not r2 < lens.fold2:
         return math.nan, math.nan
     radial = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
-    # The tangential terms of y have p1 where those of x have p2.
+    # The tangential terms of y use p1 where the terms of x use p2.
     p, q = (lens.p2, lens.p1) if lens.swapped else (lens.p1, lens.p2)
     u = a * radial + 2 * p * a * b + q * (r2 + 2 * a * a)
     v = b * radial + p * (r2 + 2 * b * b) + 2 * q * a * b

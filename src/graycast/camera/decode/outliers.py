@@ -8,7 +8,7 @@ from ...base.robust import MAD_SIGMA
 from .median import median
 
 LEAST = 4  # A median needs this many values.
-SUPPORT_PX = 3  # With this many of 24 neighbours near its depth, a pixel is a detail, no outlier.
+SUPPORT_PX = 3  # With this many of 24 neighbours near its depth, a pixel is no outlier.
 WHOLE_PX = 20  # With this many of 24 neighbours near their median, a surface has no edge.
 
 

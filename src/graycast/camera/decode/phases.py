@@ -116,7 +116,7 @@ def _lone_frame(frame, first, model2, cosine, noise2):
     model2, two = np.float32(model2), np.float32(2)
     for x in range(len(frame)):
         cosine[x] = (np.float32(frame[x]) - mean[x]) / amplitude[x]
-        # Twice a frame's variance, as mean, amplitude and phase of the three steps are noisy, too.
+        # Twice a frame's variance: mean, amplitude and phase of the three steps are noisy, too.
         noise2[x] = two * variance[x] / (amplitude[x] * amplitude[x]) + model2
 
 

@@ -34,7 +34,7 @@ class Bit:
     frame: int
     inverse: int = NO_FRAME
     xor: int = NO_FRAME
-    counts: int = 1  # Weight of doubt in this bit; a sum of two is a contradiction.
+    counts: int = 1  # Weight of a doubt in this bit; a pixel with a sum of 2 is contradictory.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +67,7 @@ class AxisPlan:
     first_px: float  # The pixel border at which value 0 begins
     cell_px: float  # The width of a value of the Gray code
     reach: int
-    periods: tuple[Period, ...]  # Full periods first, the shortest at the beginning
+    periods: tuple[Period, ...]  # Full periods come first, beginning with the shortest.
     half_px: float  # Largest distance of a position from the middle of its cell or the projector
     model_rad: float  # Error of phases in addition to their noise
 
@@ -110,7 +110,7 @@ def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
     bits = _gray_bits(axis, indexed, fine_bits)
     bits, cell_px = _with_complementary(axis, indexed, bits, cell_px)
     reach_px = cell_px * 2 ** len(bits) + code.offset_px[i]
-    # A code that begins inside the picture is meant for only a part of it.
+    # A code that begins inside the picture is meant for only a part of the picture.
     if bits and code.offset_px[i] <= 0 and reach_px < code.size_px(axis) - 0.5:
         raise DecodeError(
             f"{axis}: {len(bits)} Gray bits of {cell_px:g} px reach {reach_px:g} px, the "

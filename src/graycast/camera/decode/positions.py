@@ -72,7 +72,7 @@ def decode(
         )
     plans = plan_axes(code, spec.fine_bits)
     stack = np.ascontiguousarray(frames).view()
-    stack.flags.writeable = False  # One kind of array, so kernels are compiled only once.
+    stack.flags.writeable = False  # Numba compiles a kernel once if all arrays are read-only.
     cues = _cues(stack, plans, spec, levels)
     places = {axis: _read(cues, plan, spec, fine_error) for axis, plan in plans.items()}
     why, strength = cues.why, cues.strength
@@ -150,7 +150,7 @@ def _read(cues: _Cues, plan: AxisPlan, spec: DecodeSpec, fine_error: float) -> t
     rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
     places = Places(place=place, sigma=np.zeros(shape, dtype=np.float32), rival=rival)
     clipped = bool(cues.top.any())
-    free = cues.why == Reason.DECODED if cues.votes else None  # Not refused by an axis before
+    free = cues.why == Reason.DECODED if cues.votes else None  # No axis has refused these yet.
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
         numbers = (plan.first_px, plan.cell_px, plan.reach, spec.doubt, fine_error)

@@ -48,7 +48,7 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
     place[known] = place_at(z_m)
     noise[known] = np.abs(place_at(z_m + sigma_m) - place[known])
     sense = np.sign(rig.T_proj_cam[i, i])
-    # Copies are one kind of array, so the kernel is compiled only once.
+    # Copies all have one memory layout, so the kernel is compiled only once.
     maps = [
         np.array(m if column else m.T, order="C") for m in (sense * place, noise, depth.depth_m)
     ]

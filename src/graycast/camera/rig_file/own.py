@@ -42,7 +42,7 @@ RigModel = section_of(
     more={
         "camera": (OpticsModel, ...),
         "projector": (OpticsModel, ...),
-        "T_cam_proj": None,  # A file has two keys for it.
+        "T_cam_proj": None,  # A file has two keys for this transform.
         "R_cam_proj": (
             tuple[Row, Row, Row],
             Field(description="The rotation from projector to camera coordinates, row by row."),

@@ -12,7 +12,7 @@ from ..decode.plan import AxisPlan
 MENDED_OF = 30_000  # Changes of the order are tried on this many pairs.
 # Neighbours are far apart if they differ by this distance, and by this many Gray values.
 FAR_PX, FAR_VALUES = 8.0, 1.5
-# Above the share TORN, distant neighbours are a fault; a remedy leaves less than FEWER of them.
+# More distant neighbours than the share TORN are a fault; a remedy leaves less than FEWER of them.
 TORN, FEWER = 2e-3, 0.5
 LEAST = 50  # Fewer pairs are no evidence.
 

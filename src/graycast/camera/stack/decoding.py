@@ -40,7 +40,7 @@ from .rig_fit import better_reading, doubts
 from .stack_figures import StackFigures, figures_of
 from .stack_pictures import StackPictures, read_color, read_pictures
 
-MISPLACED_PX = 3.0  # A larger median epipolar residual means that the rig is not that of the stack.
+MISPLACED_PX = 3.0  # A larger median epipolar residual means that the rig does not fit the stack.
 OUT_OF_RANGE = 0.3  # The rig is doubtful if a larger share of the decoded pixels is out of range.
 DECODED_AT_LEAST = 0.01  # A stack is refused unless a larger share of its lit pixels is decoded.
 

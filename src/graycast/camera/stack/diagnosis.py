@@ -23,7 +23,7 @@ from .step_order import step_exchanges
 from .white_sums import white_sums
 
 CLEAR = 0.75  # A value this far from the middle, in units of half the contrast, is not blurred.
-ALIKE = 0.25  # At most this share of well lit pixels may be equally bright in both of a pair.
+ALIKE = 0.25  # At most this share of well lit pixels may be equal in both frames of a pair.
 DRIFT = 0.15  # The relative brightness may change by this much between frames.
 OUTSIDE = 0.05  # At most this share may be beyond white, black or the projector's picture.
 CONFLICT = 0.2  # At most this share of the well lit pixels may have contradictory frames.

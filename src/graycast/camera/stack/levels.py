@@ -122,7 +122,7 @@ def _noise(
 ) -> tuple[float, float, str]:
     """Return the noise variance's floor [DN^2] and slope [DN], and how they were measured."""
     bounds = offset_dn, saturation_dn
-    computed = set(computed_pairs(frames, code))  # These lack the noise of a second picture.
+    computed = set(computed_pairs(frames, code))  # A computed frame lacks the noise of a picture.
     pairs = [pair for pair in inverse_pairs(code) if pair not in computed]
     measured_steps = computed.isdisjoint(opposite_steps(code))
     for measure, why in (

@@ -13,8 +13,8 @@ ROUNDS = 6  # Two or three rounds are enough unless the motion is large.
 CONVERGED_PX = 0.01
 NEAR_PX = 0.5  # Optical flow is linear over this distance even in a sharp picture.
 FAR_SIGMAS = 3.0  # Larger differences (highlights, clipped light, moving objects) get less weight.
-# The slopes that both pictures have in common must be this much stronger (in squares) than the
-# others, which are noise, and fringes that a non-linear camera leaves in sums of patterns.
+# Slopes that both pictures share must be this much stronger (in squares) than all other slopes,
+# which come from noise and from fringes that a non-linear camera leaves in sums of patterns.
 SHARED = 3.0
 
 
@@ -148,7 +148,7 @@ class _Equations:
     step: Float[np.ndarray, "2"]
     axes: Float[np.ndarray, "2 2"]  # Directions, in columns
     known: Bool[np.ndarray, "2"]  # Whether the pictures have structure along each direction
-    likeness: float  # Ratio of the slopes that both pictures have in common to the others
+    likeness: float  # Ratio of the slopes that both pictures share to all other slopes
     sigma_px: float
 
     def known_part(self, motion: Float[np.ndarray, "2"]) -> tuple[float, float]:

@@ -27,8 +27,8 @@ LEAST = 30  # The fewest samples that suffice to check the rig.
 NEAR_PX, NEAR = 3.0, 0.01
 FITS = 0.3  # The rig fits if this share of the samples fits.
 TIMES = 4.0  # With a change of pictures or rig, this many times as many samples must fit.
-# Inverted R and T are certain if this share of the points is then in range and lit, and less than
-# half of that with the stated R and T; they are possible with the second share.
+# Inverted R and T are certain if the first share of the points is then in range and lit, and less
+# than half of that share with the stated R and T; they are possible with the second share.
 SURELY_LIT, POSSIBLE = 0.9, 0.5
 RIM_PX = 5  # The outermost decoded pixel may be this far inside the outermost lit one.
 

@@ -27,8 +27,8 @@ class StackPictures:
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     files: tuple[Path, ...]
     digests: tuple[str, ...]  # Hashes of the files
-    lossy: bool  # Whether one is a JPEG
-    converted: bool  # Whether one is a colour picture
+    lossy: bool  # Whether a file is a JPEG
+    converted: bool  # Whether a file is a colour picture
 
     def __post_init__(self) -> None:
         self.frames.flags.writeable = False

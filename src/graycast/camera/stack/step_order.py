@@ -21,9 +21,9 @@ from .stack_figures import WELL, samples
 from .stack_pictures import StackPictures
 
 FEWEST, MOST = 500, 20_000  # The fewest pixels that are enough, and the most that are used.
-# In the right order, the squared difference from a sine is less than this share of that in the
-# stated order (half of it if the pattern is binary stripes). If the stated order is right, no
-# exchange reduces the difference.
+# In the right order, the squared difference from a sine is less than this share of the difference
+# in the stated order (half the share if the pattern is binary stripes). If the stated order is
+# right, no exchange reduces the difference.
 LEFT = 0.6
 CLEARLY = 0.4  # The best order must have less than this share of the difference of the next one.
 ALIKE = 1.01  # Orders whose differences agree within this factor are equally good.

@@ -85,7 +85,7 @@ def displacements(sums: Sequence[WhiteSum]) -> list[Displacement]:
 
 def _steps(sums: Sequence[WhiteSum], ready: Sequence[Prepared]) -> list[Displacement]:
     steps: list[Displacement] = []
-    compared = [0]  # The sums with known positions, which `place_px` has [px].
+    compared = [0]  # Indices of the sums whose positions [px] are in `place_px`.
     place_px = {0: (0.0, 0.0)}
     for k in range(1, len(sums)):
         for other in reversed(compared[-COMPARED:]):

@@ -23,8 +23,8 @@ from .rapier import RapierPart, Terms, open_heap
 
 Vector3 = Float[np.ndarray, "3"]
 _Motion = tuple[Float[np.ndarray, "4 4"], Vector3, Vector3]  # world pose, velocity and turning rate
-# Springs are stiff enough to keep a path and soft enough for the step: at most these shares of
-# what one step can follow.
+# Springs must keep a part on its path, but a step must be able to follow them: stiffness and
+# damping are at most these shares of the values that one step can follow.
 MOST_STIFFNESS, MOST_DAMPING = 0.1, 0.5
 # Robots move faster than parts that are lowered by hand, and their springs are stiffer.
 SPEED_M_S = 10.0

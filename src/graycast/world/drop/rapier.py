@@ -30,13 +30,13 @@ STEP_S = 0.004
 LINEAR_DAMPING = 0.2
 ANGULAR_DAMPING = 1.0
 # A part that falls from the top of the grid would arrive at 5 m/s, pass through the thin wall of
-# another part and stay locked in it. So no part falls faster than this.
+# another part and stay locked in it. So no part falls faster than this limit.
 SPEED_LIMIT_M_S = 1.0
-# Parts keep this distance. Contacts between slightly separated bodies are steadier, and it makes up
-# for the thinning of curved hulls: 0.2 mm of a small part, 0.6 mm of a bottle.
+# Parts keep this distance, as contacts between slightly separated bodies are steadier. It also
+# makes up for the thinning of curved hulls: 0.2 mm for a small part, 0.6 mm for a bottle.
 SKIN_M = 0.2e-3
 TRUSTED_DEPTH_M = 0.05e-3  # Deeper contacts than this are measured again, exactly.
-TABLE_M = 3.0  # It is half the table's width.
+TABLE_M = 3.0  # Half the table's width
 WALL_M = 0.15  # Walls extend this far outwards, so that no part tunnels through.
 
 
@@ -45,7 +45,7 @@ class Terms:
     """The conditions under which parts move."""
 
     guided: bool = False  # Whether walls without friction extend the bin's walls upwards.
-    clustered: bool = False  # See `_world`.
+    clustered: bool = False  # Whether contacts are clustered, see `_world`
     friction: float = 1.0  # The share of each friction coefficient that is used.
     speed_m_s: float = SPEED_LIMIT_M_S  # the largest speed of a part
     step_s: float = STEP_S
@@ -70,7 +70,7 @@ class RapierPart:
         still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         compound = rapier3d.SharedShape.compound
         moments, axes = np.linalg.eigh(body.inertia_kg_m2 * SCALE**2)
-        axes[:, 2] *= np.linalg.det(axes)  # so that it is a rotation, not a reflection
+        axes[:, 2] *= np.linalg.det(axes)  # The sign makes the axes a rotation, not a reflection.
         return RapierPart(
             shape=hulls[0] if len(hulls) == 1 else compound([(still, hull) for hull in hulls]),
             mass=rapier3d.MassProperties(
@@ -145,12 +145,12 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     # computes every hull's mass properties at every step. At 4 mm a step no part crosses `WALL_M`.
     settings.max_ccd_substeps = 0
     # Clustering selects some of a compound's contact points at every step. It is four times as
-    # fast, but a part on three points rocks from one pair of them to another for ever, as bolts
-    # and tubes did. So parts fall with it and come to rest without it.
+    # fast, but a part on three points (a bolt or a tube) rocks forever from one pair of points to
+    # another. So parts fall with clustering and come to rest without it.
     settings.contact_clustering = terms.clustered
     settings.normalized_prediction_distance = 0.01
-    # The engine's own, cheaper model of friction also resists spin about a contact, which a point
-    # cannot: in a heap it stopped six of ten bottles that roll away in another engine.
+    # The engine's own, cheaper friction model also resists spin about a contact, which a point
+    # cannot do: in a heap it stopped six of ten bottles that roll away in another engine.
     settings.friction_model = rapier3d.FrictionModel.COULOMB
     settings.contact_softness = rapier3d.SpringCoefficients(240.0, 10.0)
     settings.static_contact_softness = rapier3d.SpringCoefficients(480.0, 10.0)
@@ -267,7 +267,7 @@ def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.nda
     The engine's own figure is not reliable: in a heap of 255 concave parts it reports a depth of
     metres for one or two pairs, and such a false alarm would reject every full bin.
     """
-    # Contacts are fresh, not recycled from an earlier step, and belong to the poses read above.
+    # Detect contacts afresh, because recycled contacts do not belong to the poses read above.
     world.integration_parameters.contact_recycling = False
     world.detect_collisions()
     deepest_m = 0.0

@@ -20,27 +20,27 @@ from ..scene import Bin, Layout
 from .body import Body, Kinds, Poses, motion_m, parts_outside
 from .rapier import RapierHeap, RapierPart, Terms, deepest_penetration_m, open_heap
 
-LOOK_S = 0.04  # Poses are read this often.
+LOOK_S = 0.04  # Poses are read at this interval.
 
-# Clustered contacts cost a quarter; parts that still rock come to rest in the second stage.
+# Clustered contacts take a quarter of the time; rocking parts come to rest in the second stage.
 _FALL = Terms(guided=True, clustered=True)
 FALLEN_MOTION_M, FALLEN_LOOKS = 5e-3, 3  # The fall ends when no part moved farther in 0.12 s.
 
 # A heap that is stable at nine tenths of its friction does not depend on the last tenth.
 _REST = Terms(friction=0.9)
 # A part that moved farther than this in 0.6 s has left its place. Contact forces start from 0 when
-# the stage begins, which shakes a heap in balance, but by less.
+# the stage begins, which shakes a balanced heap, but by less than this.
 REST_MOTION_M, REST_LOOKS = 0.5e-3, 15
-# It rests in a new place when it moved no farther in 0.2 s: a scanner does not resolve that.
+# A part rests in a new place if it moves no farther in 0.2 s; a scanner does not resolve this.
 PLACE_MOTION_M, PLACE_LOOKS = 0.1e-3, 5
-# A heap that moves by less in 0.2 s rests, without waiting 0.6 s. What is out of balance grows
-# e-fold in sqrt(l / g), 0.05 s for a part of 25 mm, from the 1 to 700 um of the first shake. Parts
+# A heap that moves by less in 0.2 s is at rest, with no need to wait 0.6 s. A motion out of balance
+# grows e-fold in sqrt(l / g), 0.05 s for a part of 25 mm, from the first shake's 1 to 700 um. Parts
 # at rest move by 0 to 6 um in 0.04 s, which does not add up: they tremble about a place.
 STILL_MOTION_M = 10e-6
 
-# One bolt of 255 may rock from edge to edge for ever. While all fall, damping doubles every second
-# from 2 s on; where one part is on its way, every 0.2 s from 0.4 s on. Even at 64 times nothing
-# hangs in the air: parts still fall at 0.77 m/s and topple at once.
+# One bolt of 255 may rock from edge to edge forever. While all parts fall, damping doubles every
+# second from 2 s on; for a part that left its place, every 0.2 s from 0.4 s on. Even at 64 times
+# the damping, no part hangs in the air: parts fall at 0.77 m/s and topple at once.
 FALL_DAMPING_S = (2.0, 1.0)  # when damping starts, and the time in which it doubles
 PART_DAMPING_S = (0.4, 0.2)
 MOST_DAMPING = 64.0

@@ -68,12 +68,12 @@ def _bracket() -> Part:
     cuts = Manifold()
     for x in (-12.0, 12.0):  # screw holes in the base, countersunk from above
         hole = Manifold.cylinder(12, 3.3, 3.3, 48).translate((0, 0, -1))
-        # The cone is carried on past the surface, so that no two faces coincide there.
+        # The cone extends past the surface, so that no two faces coincide there.
         sink = Manifold.cylinder(3.2, 3.3, 6.5, 48).translate((0, 0, 5.0))
         cuts += (hole + sink).translate((x, 0, 0))
     slot_ends = [Manifold.cylinder(12, 4, 4, 48).translate((0, y, -1)) for y in (-9.0, 9.0)]
     cuts += Manifold.batch_hull(slot_ends)
-    # One bore through both walls, chamfered on their outer faces.
+    # One bore runs through both walls and is chamfered on their outer faces.
     across = Manifold.cylinder(70, 4.5, 4.5, 64, True).rotate((0, 90, 0))
     cone = Manifold.cylinder(3, 4.0, 7.0, 64).translate((0, 0, 28.5)).rotate((0, 90, 0))
     cuts += (across + cone + cone.rotate((0, 0, 180))).translate((0, 0, 19))
@@ -241,7 +241,7 @@ def _spray_body() -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
         bend = s * s * (3 - 2 * s)
         x, y, n = half_x + (13 - half_x) * bend, half_y + (13 - half_y) * bend, 3.2 - 1.2 * bend
         sections.append((x, y, n, 92 + (neck_z - 92) * s))
-    sections.append((13.0, 13.0, 2.0, neck_z + 4))  # ends inside the collar
+    sections.append((13.0, 13.0, 2.0, neck_z + 4))  # This end is inside the collar.
     return loft(np.stack([superellipse(x, y, n, z, 96) for x, y, n, z in sections]))
 
 
@@ -282,13 +282,13 @@ def _wrap(corner_mm: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3 2"]:
     turn = np.unwrap(np.arctan2(outline[:, 1], outline[:, 0])) / (2 * np.pi) - 0.25
     angle = np.arctan2(corner_mm[..., 1], corner_mm[..., 0]) / (2 * np.pi) - 0.25
     angle = angle % 1.0
-    # A face that ends on the seam has corners at both 0 and 1: bring them to one side.
+    # A face that ends on the seam has corners at 0 and at 1, so move them to one side.
     wide = np.ptp(angle, axis=1, keepdims=True) > 0.5
     angle = np.where(wide & (angle < 0.5), angle + 1, angle)
     u = np.interp(angle % 1.0, np.append(turn, 1.0), arc) + np.floor(angle)
     u = u - np.floor(u.mean(axis=1, keepdims=True))
     wrapped = np.stack([u, np.clip(corner_mm[..., 2] / height, 0, 1)], axis=-1)
-    # The flat bottom cannot be wrapped: it takes the plain plastic under the print.
+    # The flat bottom cannot be wrapped, so it shows the plain plastic below the print.
     flat = np.all(corner_mm[..., 2] < 1e-6, axis=1)[:, None, None]
     return np.where(flat, np.array([0.5, 0.06]) + corner_mm[..., :2] / 1000, wrapped)
 

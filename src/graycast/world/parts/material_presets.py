@@ -27,9 +27,9 @@ from .part import Color, Grain, Material
 
 OUR_CHOICE = "our choice"
 _RA = "all our choice; usual {}: calqlata.com, Surface Finish"
-# Brightness of the blasted plate in the white frame of an industrial scanner, with pixels of 0.28
-# mm: 0.18 times its local mean, correlation 0.18 to 0.27 between neighbours. Squares of 0.28 mm
-# have this of a surface with these two numbers.
+# Brightness of the blasted plate in the white frame of an industrial scanner with pixels of 0.28
+# mm: its scatter is 0.18 of its local mean, with a correlation of 0.18 to 0.27 between neighbours.
+# Squares of 0.28 mm on a surface with these two numbers have the same values.
 _BLASTED = (
     "mottle measured on one scanned plate: Open3DV, 3D_reconstruction_python; all else our choice"
 )

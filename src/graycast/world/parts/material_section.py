@@ -17,7 +17,7 @@ from .part import Color, Grain, Material, Mottle, Roughness, Transparent
 
 
 def _known(name: str) -> str:
-    material_preset(name)  # It refuses unknown names.
+    material_preset(name)  # This call refuses unknown names.
     return name
 
 

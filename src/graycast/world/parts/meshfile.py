@@ -36,7 +36,7 @@ from .surface import MAX_FACES, RawMesh, Refusal, as_solid, judge, too_many, wel
 
 EXTENSIONS = (".obj", ".ply", ".stl", ".glb")
 STEP = (".step", ".stp")  # cascadio, an optional package, triangulates their surfaces.
-MAX_BYTES = 400_000_000  # An ASCII STL of MAX_FACES takes a third of it; there may be textures.
+MAX_BYTES = 400_000_000  # An ASCII STL of MAX_FACES takes a third; textures may need more.
 SIZE_M = (0.002, 1.5)  # limits of the longest side with a stated unit
 UNSTATED_SIZE_M = (0.005, 1.0)  # Without a unit, a longest side between these is in metres.
 

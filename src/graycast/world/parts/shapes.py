@@ -116,7 +116,7 @@ def _cube_grid(
 ) -> Int[np.ndarray, "n 3"]:
     """Return the cube's grid coordinates for steps i to the right and j up on one panel."""
     normal = np.cross(right, up)
-    # Twice the coordinate less the end, so that each axis runs symmetrically round 0.
+    # Double the coordinates and subtract the end, so that each axis is symmetric about 0.
     end = count - 1
     doubled = np.outer(2 * i - end, right) + np.outer(2 * j - end, up) + end * normal
     return (doubled + end) // 2

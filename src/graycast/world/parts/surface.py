@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 MAX_FACES = 500_000
 TOUCHING = 1e-4  # Rounding makes bodies that only touch share this much of the volume.
-_MERGE = 1e-6  # Vertices closer than this share of the longest side are one: float32 rounds so.
+_MERGE = 1e-6  # Vertices closer than this share of the longest side are merged (float32 rounds).
 
 
 class Refusal(Exception):
@@ -79,7 +79,7 @@ def welded(surface: RawMesh, findings: list[str]) -> RawMesh:
     if not whole.all():
         findings.append(f"{(~whole).sum()} degenerate faces were dropped.")
     keep = np.flatnonzero(whole)
-    # A face that occurs twice with the same winding: compare faces with their smallest index first.
+    # Compare faces with their smallest index first, to find copies with the same winding.
     turned = faces[keep]
     lead = turned.argmin(axis=1)[:, None]
     turned = np.take_along_axis(turned, (lead + np.arange(3)) % 3, axis=1)

@@ -23,11 +23,11 @@ def wood_texture() -> UInt8[np.ndarray, "h w 3"]:
         return field / field.std()
 
     y = np.arange(SIZE_PX)[:, None] / SIZE_PX
-    # Distance from a wavering heart line, in whole rings over the height so that edges meet.
+    # Whole rings over the height make the edges meet; the heart line of the trunk wavers.
     ring = 14 * y + 0.9 * noise(260.0, 60.0) + 0.12 * noise(120.0, 12.0)
     late = np.abs((ring % 1.0) - 0.5) * 2
     dark = 0.75 * late**3 + 0.10 * noise(60.0, 1.2) + 0.05 * noise(25.0, 0.7)
-    # Dark pores: short strokes along the grain.
+    # Dark pores are short strokes along the grain.
     pores = noise(14.0, 0.8) > 2.6
     share = np.clip(dark + 0.35 * pores, 0, 1)[..., None]
     picture = np.round(_LIGHT_SRGB + share * (_DARK_SRGB - _LIGHT_SRGB)).astype(np.uint8)

@@ -13,7 +13,7 @@ from .error import Decomposition
 def read_decomposition(file: Path) -> Decomposition | None:
     """Return the content of a cache file; None if the file is missing or damaged."""
     try:
-        # If NumPy opens a file and cannot read it, it leaves the file open; so it is opened here.
+        # NumPy leaves a file open that it opened and cannot read, so this function opens the file.
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             vertices, faces = data["vertices_m"], data["faces"]
             splits = data["vertex_split"], data["face_split"]

@@ -22,13 +22,13 @@ from .error import LID_SAMPLES, filled_m, spread, surface_samples
 from .solid import Points
 
 REFLEX_RAD = np.radians(12)  # A smaller inward bend belongs to a facet of a round shape.
-PLANES = 12  # At most this many flat faces are tried, those with the longest bends first.
+PLANES = 12  # At most this many flat faces are tried, longest bends first.
 WORTH = 0.2  # A cut must remove at least this share of the volume that the hull adds.
-WEDGES = (3, 4, 6, 8, 12, 16, 24)  # They divide the usual numbers of facets of round shapes.
+WEDGES = (3, 4, 6, 8, 12, 16, 24)  # These numbers divide the usual facet counts of round shapes.
 ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # Cuts are tried at these shares of a piece's extent.
 ROUND = 0.02  # A piece is round if two principal variances differ by less than this share.
 # Costs of one more part, of the largest part's share and of the cut's share of the surface,
-# relative to the volume to fill. Without them, thin slices are cut off one after another.
+# relative to the volume to fill. Without these costs, thin slices are cut off one after another.
 EACH, EVEN, CUT = 0.01, 0.02, 0.2
 GUESSES, FIRST_GUESSES = (
     120,
@@ -36,7 +36,7 @@ GUESSES, FIRST_GUESSES = (
 )  # Points tested per hull: all, and the first few, which reject a bad hull early.
 DEEPEST_CUTS = 40  # After this many consecutive cuts, a piece is accepted unchanged.
 THIN = 0.02  # Sheets and slivers thinner than this share of the limit (9 um) are ignored.
-HAIR = 0.01  # A cut lies off its face by this share of the thinnest sheet.
+HAIR = 0.01  # A cut is this share of the thinnest sheet's thickness away from its face.
 
 Plane = tuple[Float[np.ndarray, "3"], float]
 """Unit normal n and offset d [m] of the plane n . p = d."""

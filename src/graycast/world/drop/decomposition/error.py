@@ -17,7 +17,7 @@ from ...parts.surface import surface_of
 from .solid import Hull, bodies_of, height_m
 
 TOLERANCE_M = 0.5e-3
-TOLERANCE_OF_DIAGONAL = 0.005  # At a screw's 0.5 mm, a bottle would need too many hulls.
+TOLERANCE_OF_DIAGONAL = 0.005  # With 0.5 mm, as for screws, a bottle would need too many hulls.
 MIDDLE_TOLERANCE = (
     0.01,
     1e-3,
@@ -167,7 +167,7 @@ def _cross(corner: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
     return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
 
 
-@kernel(error_model="numpy")  # No triangle raises an error, not even a degenerate one.
+@kernel(error_model="numpy")  # Degenerate triangles then raise no error.
 def _nearest_m(point, faces, corner):
     """Return the distance of each point to the nearest of its faces.
 

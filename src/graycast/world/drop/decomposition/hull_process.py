@@ -107,7 +107,7 @@ def _started(part: Part) -> Iterator[_Child]:
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,  # Only the parent gets Ctrl-C; it then ends the child.
         )
-        stack.enter_context(process)  # closes its pipes and waits for it
+        stack.enter_context(process)  # This closes the child's pipes and waits for the child.
         stack.callback(process.kill)
         assert process.stdout is not None
         yield _Child(

@@ -13,11 +13,11 @@ from .cutting import Cutter
 from .error import tolerance_m
 from .solid import Hull, Points, bodies_of, hull_of, simplified, thinned
 
-# Most shrinkage of a hull that loses vertices, of the box diagonal. A scanned box whose nearly flat
-# sides kept 129 vertices (0.03 %) rocked on them for ever; with 51 (0.3 %) it comes to rest.
+# Largest shrinkage of a hull that loses vertices, as a share of the box diagonal. A scanned box
+# with 129 vertices (0.03 %) on nearly flat sides rocked forever; with 51 (0.3 %) it comes to rest.
 VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
-# Cutting and joining may fill this share, less what simplifying moved; the rest of the tolerance is
-# for what lies between the samples that look for the worst place.
+# Cutting and joining may use this share of the tolerance, minus the shift by simplifying. The rest
+# covers errors between the samples that search for the worst place.
 CUT_SHARE = 0.9
 # With more pieces a drop is too slow, and with more cuts (counted by the faces that are cut) the
 # user waits too long. At these limits the tolerance grows by this factor. A turned ring has the

@@ -17,7 +17,7 @@ Hull = tuple[np.ndarray, np.ndarray]
 # These shares of the tolerance are tried in turn until few enough faces are left.
 SIMPLIFIED_BY = (0.1, 0.2, 0.3)
 ENOUGH_FACES = 12_500
-_PLANE_DECIMALS = 12  # Planes [m] that differ less are one: they are of coplanar triangles.
+_PLANE_DECIMALS = 12  # Planes that agree to this many decimals [m] belong to coplanar triangles.
 
 
 def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:

@@ -105,7 +105,7 @@ def _fitted(value, before, radius, terms, near_m):
                         b[k] += weight * value[y, x] * basis[k]
                         for m in range(k + 1):
                             A[k, m] += weight * basis[k] * basis[m]
-            if A[0, 0] > 1e-9:  # else no pixel is near the last fit, which is kept
+            if A[0, 0] > 1e-9:  # Without pixels near the last fit, that fit is kept.
                 _solve(A, b)
                 fitted[i, j, :terms] = b
     return fitted
@@ -201,7 +201,7 @@ def solid_of(
 # --- the mesh ------------------------------------------------------------------------------------
 
 # Offsets from a corner's row and column to its four pixels. Corner (i, j) is above and left of
-# pixel (i, j). It is slightly off the exact corner: otherwise the ray of a pixel's centre would run
+# pixel (i, j), but slightly off the exact corner: otherwise the ray of a pixel's centre would run
 # along the edge between the pixel's two triangles and might miss both.
 _ABOUT = ((-1, -1), (-1, 0), (0, -1), (0, 0))
 _CORNER_PX = np.array([-0.45, -0.48])  # x and y from the centre of pixel (i, j)
@@ -284,7 +284,7 @@ def _outwards(
         np.maximum.at(least[:, 0], number, 0.0 if right else covered[y, x, 0])
         np.maximum.at(most[:, 1], number, covered[y, x, 3] if down else 0.0)
         np.maximum.at(least[:, 1], number, 0.0 if down else covered[y, x, 2])
-    return np.where((most > 0) & (least > 0), 0.0, most - least)  # keeps objects of one pixel
+    return np.where((most > 0) & (least > 0), 0.0, most - least)  # Objects of one pixel stay.
 
 
 def _pixel_corners(

@@ -21,7 +21,7 @@ NO_FIT = (
     "no camera and projector fit these views: decode each stack with graycast rig decode to see "
     "whether its code is right, and show the board in more different directions"
 )
-OUTLIER = 6.0  # A corner whose residual exceeds this many medians is wrong, not just inexact.
+OUTLIER = 6.0  # A corner with a residual above this many medians is wrong, not just inexact.
 RADIAL = ("k1", "k2", "k3")
 DETERMINED = 5.0  # A device's last radial term must differ from 0 by this many standard deviations.
 OUTLIER_FLOOR_PX = 0.05  # A smaller median counts as this, so that no good corner is an outlier.
@@ -189,7 +189,7 @@ def _robust_fit(start, free, obs: Observations, stand):
     fitted, *_ = _fit(start, free, obs, stand)
     size = np.linalg.norm(_independent(_residuals(fitted, obs, stand), obs), axis=2)
     inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
-    # A view of outliers only would have no pose: it is kept until the caller removes it.
+    # A view with only outliers would have no pose, so its corners stay until the caller removes it.
     whole = np.bincount(obs.view, weights=inlier).min() >= LEAST_OF_VIEW
     good = obs.only(inlier) if whole else obs
     return inlier, good, _fit(fitted, free, good, stand)
@@ -211,8 +211,8 @@ def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
     return loose
 
 
-# The vector of unknowns: camera (9), projector (9), T_proj_cam (6) of each stand, then T_cam_board
-# (6) of each view. `stand[k]` is the stand of view k: views of one stand share one T_proj_cam.
+# The unknowns are camera (9), projector (9), T_proj_cam (6) of each stand, then T_cam_board (6) of
+# each view. `stand[k]` is the stand of view k; views of one stand share one T_proj_cam.
 
 
 def _unpack(unknown, stand):
@@ -272,7 +272,7 @@ def _fit(start, free, obs: Observations, stand):
                 x_scale="jac",
                 max_nfev=MOST_STEPS,
             )
-        except (ValueError, np.linalg.LinAlgError) as error:  # numbers that are not finite
+        except (ValueError, np.linalg.LinAlgError) as error:  # Numbers may be infinite or NaN.
             raise CalibrationError(NO_FIT) from error
         unknown = unknown.copy()
         unknown[free] = outcome.x

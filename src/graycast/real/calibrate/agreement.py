@@ -21,12 +21,12 @@ from .adjust import Adjustment, Stands, adjust, adjust_stands
 from .board import CalibrationError
 from .observing import MIN_VIEWS, MINORITY, Observed
 
-SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # A view above both limits spoils the fit of the others.
+SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # A view above both limits spoils the fit of all views.
 MOST_LOST = 0.4  # A view is bad if a larger share of its corners disagrees with the fit.
 OUTLYING = 2.5  # A view fits badly if its residual is more than this many times the median view's.
 OUTLYING_FLOOR_PX = 0.05  # A view with a smaller residual is always good.
-# One common pose does not suffice if its residual exceeds both limits: the residual with a pose per
-# view times APART (at most 1.2 in 50 simulated good calibrations with bent boards), and APART_PX.
+# One common pose does not suffice if its residual exceeds both APART_PX and APART times that with a
+# pose per view (at most 1.2 times in 50 simulated good calibrations with bent boards).
 APART, APART_PX = 2.0, 0.05
 EXPLAINED = 1.5  # A pose per group suffices up to this factor of the residual with a pose per view.
 MOST_GROUPS = 6
@@ -61,7 +61,7 @@ def fit_agreeing(
         fit = _converged(one, corners)
         faults = _parted(observed, each, fit, some)
         if not faults:
-            fit = fit or one(corners)  # raises again: no group of views explains it
+            fit = fit or one(corners)  # Without a fitting group, this raises the error again.
             faults = _spoiling(observed, fit) or _worst_outlier(observed, fit)
             if not faults:
                 return observed, replace(fit, deviation=_widened(fit, each, views))
@@ -235,7 +235,7 @@ def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]
     views: dict[str, tuple[float, str]] = {}
     for device in ("camera", "projector"):
         size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
-        residual_px = [  # median: a few wrong corners do not spoil a view
+        residual_px = [  # A median, so that a few wrong corners do not spoil a view
             float(np.median(size_px[observed.corners.view == k]))
             for k in range(len(observed.views))
         ]

@@ -10,8 +10,8 @@ from scipy.special import erf
 from ...base.robust import robust_sigma
 from .board import Board, CalibrationError
 
-MIN_CORNERS = 8  # More than the four that a pose and a homography need.
-REFINE_REACH = 0.45  # As a share of a square; a larger window contains the next edges.
+MIN_CORNERS = 8  # A pose and a homography need only four; more are safer.
+REFINE_REACH = 0.45  # Share of a square; a larger window would contain the next edges.
 REFINE_REACH_PX = 15.0  # A larger window costs time, and distortion bends its edges.
 REFINE_ITERATIONS = 20
 SMOOTH_PX = 0.8  # A blur of this standard deviation makes sharp edges wider than a pixel.
@@ -323,7 +323,7 @@ def _read_at(
     if known.sum() < enough:
         return nothing
     value, weight = value[known], weight[known] / weight[known].mean()
-    unit_px = np.abs(pixel - centre).max()  # brings the powers to one scale
+    unit_px = np.abs(pixel - centre).max()  # This unit brings all powers to one scale.
     offset = (pixel[known] - centre) / unit_px
     x, y = offset[:, 0], offset[:, 1]
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
@@ -331,7 +331,7 @@ def _read_at(
     if keep.sum() < enough:
         return nothing
     normal = (basis[keep] * weight[keep, None]).T @ basis[keep]
-    if np.linalg.cond(normal) > 1e8:  # decoded on only one side of the corner
+    if np.linalg.cond(normal) > 1e8:  # Pixels on one side only do not fix the position.
         return nothing
     return float(coefficient[0]), coefficient[1:3] / unit_px
 

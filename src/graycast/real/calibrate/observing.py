@@ -16,13 +16,13 @@ from .corners import MIN_CORNERS, find_corners, projector_corners
 
 MIN_VIEWS = 3  # Fewer board directions do not determine the intrinsics.
 GOOD_VIEWS = 8
-SAME_POSE = 0.005  # Two views with nearer corners, as a share of the board's radius, have one pose.
-GROSS, GROSS_PX = 6.0, 2.0  # A corner is wrong above both: in medians of its view and in pixels.
+SAME_POSE = 0.005  # Views have one pose if their corners differ by less (share of board's radius).
+GROSS, GROSS_PX = 6.0, 2.0  # A corner is wrong above both limits: view medians and pixels.
 MOST_RMS = 0.005  # largest residual of a device, in widths of its picture
 GOOD_RMS_PX, SPOILING = 0.5, 3.0  # good RMS; factor by which a bad view raises a device's RMS
-MINORITY = 1 / 3  # A larger share is not left out: nothing shows which views are right.
-# A view disagrees on the projector's pose above both this factor of the median error and a minimum:
-# noise turns a view by up to 1.3 degrees. `fit_agreeing` knows the noise and finds smaller errors.
+MINORITY = 1 / 3  # A larger share is never dropped, as it may be the right views.
+# A view's projector pose is wrong if its error exceeds both this factor of the median and a
+# minimum; noise turns it by up to 1.3 degrees. `fit_agreeing` knows the noise and finds less.
 ELSEWHERE, TURN_DEG, SHIFT = 4.0, 2.0, 0.15  # The shift is a share of the baseline.
 
 

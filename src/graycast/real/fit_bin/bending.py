@@ -32,13 +32,13 @@ from ...world.parts.normals import crease_normals
 from ...world.scene import Bin, bin_mesh
 from .bin_views import BinView
 
-EDGE_M = 8e-3  # Shorter edges are not split; it is also the standard deviation of the smoothing.
+EDGE_M = 8e-3  # Shorter edges are not split; smoothing has this standard deviation, too.
 _LONGEST_M = 8 * EDGE_M  # Longer edges are always split, as a face is tested at few points.
 _CURVED_M = 1e-4  # Largest distance of a face from the smooth shape: the noise of a pixel.
 # A bin differs from its model by several millimetres; parts and wrong surfaces differ by more.
 REACH_M = 15e-3
-_AGREE_M = 1e-3  # Half of the views may differ by this much from their median, or by
-_AGREE_USUAL = 5.0  # this many times the usual difference: the noise depends on the camera.
+_AGREE_M = 1e-3  # Half of the views may differ from their median by the larger of this and
+_AGREE_USUAL = 5.0  # this many times the usual difference, as noise depends on the camera.
 _STEP_M = 5e-3  # A depth edge exceeds both neighbouring differences by this.
 _MARGIN_PX = 3  # Pixels this near to a depth edge or a part mix two surfaces.
 _LEAST_SIGMA_PX = 2.0
@@ -202,7 +202,7 @@ def _clear_of_steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     On a steep wall, depth changes evenly from pixel to pixel, so a step is a change that is larger
     than those of both neighbouring pairs.
     """
-    z_m = np.nan_to_num(z_m)  # so the end of a surface is a step to 0
+    z_m = np.nan_to_num(z_m)  # This makes the end of a surface a step to 0.
     return ~_widened(_steps(z_m) | _steps(z_m.T).T)
 
 

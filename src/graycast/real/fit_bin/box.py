@@ -13,7 +13,7 @@ from ...base.kernels import kernel
 from .bin_views import Grid
 from .shape import COS_ALIKE, NO_FACE, BinShape
 
-# Content starts at the first height above the floor; the second widens it for walls and pose error.
+# Content begins at the first height above the floor; the second adds room for walls and pose error.
 _RAISED_M, _AROUND_M = 0.015, 0.025
 
 

@@ -169,7 +169,7 @@ def write_fit(
         (aside / out.name).write_text(text, encoding="utf-8")
         if fit.bent is not None and mesh is not None:
             (aside / mesh.name).write_bytes(mesh_bytes(fit.bent.mesh))
-        refuse_there(*files)  # Another process may have written them meanwhile.
+        refuse_there(*files)  # Another process may have written the files meanwhile.
     return files
 
 

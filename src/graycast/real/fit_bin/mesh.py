@@ -25,7 +25,7 @@ NAMES = (
     "underside",
 )
 _SAMPLES, _LEAST_SPACING_M = 200_000, 1e-3
-_REACH_M = 0.05  # Faces farther away than this are not found.
+_REACH_M = 0.05  # Faces farther away than this are ignored.
 
 
 @final
@@ -45,7 +45,7 @@ class MeshShape:
     offset_m: Float[np.ndarray, " f"]
     axis: Int[np.ndarray, " f"]
     spacing_m: float
-    # By axis and sign of the normal: samples of the faces, and the face of each sample.
+    # For each axis and sign of the normal: samples of the faces, and each sample's face.
     trees: tuple[tuple[cKDTree, Int[np.ndarray, " _"]] | None, ...] = field(repr=False)
 
     @property
@@ -135,7 +135,7 @@ def _spread(
     corner: Float[np.ndarray, "f 3 3"], area_m2: Float[np.ndarray, " f"]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
     """Return points spread evenly over the mesh plus all centroids, and the face of each point."""
-    rng = np.random.default_rng(0)  # fixed: a fit depends on its input alone
+    rng = np.random.default_rng(0)  # The seed is fixed, so a fit depends on its input alone.
     place = (np.arange(_SAMPLES) + rng.random(_SAMPLES)) / _SAMPLES
     owner = np.searchsorted(np.cumsum(area_m2) / area_m2.sum(), place).clip(0, len(corner) - 1)
     u, v = rng.random((2, _SAMPLES))

@@ -31,7 +31,7 @@ _FIRST_M, _LAST_M = 4e-3, 0.05e-3
 _LEVER_M = 0.2  # lever arm [m] that converts a step [m] into a turn
 _ACROSS_PX = 512
 _LEAST_TOLERANCE_M = 0.003
-_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first must lose this many votes.
+_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first number must lose this many votes.
 _AROUND_M = np.array([0.01, 0.01, 0.02])  # The bin's space extends this far beyond the bin.
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
@@ -68,8 +68,8 @@ class PoseFit:
     rms_m: float
     median_m: float  # median absolute residual
     p95_m: float
-    inlier_share: float  # as a share of all measured points in the bin's space
-    agreeing: float  # share of agreeing depth on floor or walls, the smaller
+    inlier_share: float  # Share of inliers among all measured points in the bin's space
+    agreeing: float  # Smaller of the shares of agreeing depth on floor and walls
     sigma: Float[np.ndarray, "6"]
     by_edges: tuple[str, ...]
     loose: tuple[str, ...]

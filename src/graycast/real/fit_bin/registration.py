@@ -19,7 +19,7 @@ from ...base.frames import rigid, transform_points
 from ...base.robust import robust_sigma
 from .shape import BinShape, height_over
 
-FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # largest distance point to face: first, last, factor
+FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # Point-to-face limits: first, last, and shrink factor
 _TUKEY = 4.685  # This many standard deviations give an efficiency of 95 %.
 _LEAST_SIGMA_M = 1e-4
 

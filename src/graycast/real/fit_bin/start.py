@@ -60,8 +60,8 @@ def start_poses(
     starts = []
     for normal, offset_m in planes(grid.point_m, seed=seed):
         T_world_cam = _poses_on(box, grid.point_m[known], normal, offset_m)
-        # A few rays exclude most positions. If the table is hardly lower than the floor, the plane
-        # found is between the two: a larger tolerance keeps it, and refinement corrects it.
+        # A few rays exclude most positions. If the table is hardly lower than the floor, the fitted
+        # plane is between the two: a larger tolerance keeps it, and refinement corrects it.
         likely = np.argsort(-score(T_world_cam, 24, 2 * _PLANE_M), kind="stable")
         T_world_cam = T_world_cam[likely[: 500 + len(likely) // 6]]
         likely = np.argsort(-score(T_world_cam, 4, 2 * _PLANE_M), kind="stable")[:_CLIMBERS]

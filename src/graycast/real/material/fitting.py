@@ -40,14 +40,14 @@ MOST_PIXELS = 1500  # More pixels do not narrow the intervals, because they shar
 BINS = 12  # Pixels are drawn evenly from this many bins of half angle.
 COARSE = (0.05, 0.1, 0.175, 0.25, 0.325, 0.4, 0.475, 0.55, 0.625, 0.7, 0.775, 0.85, 0.925, 1.0)
 FINE_STEPS, FINE_SPAN = (0.025, 0.01, 0.0025), 4  # Steps of roughness, and their number
-LIKELY = 7  # As many likely values of roughness give a smooth profile.
-LEAST = 0.03  # Of roughness; the normals of a scan cannot tell smaller values apart.
+LIKELY = 7  # This many likely values of roughness give a smooth profile.
+LEAST = 0.03  # Smaller values of roughness look alike with the normals of a scan.
 # Limits of the base colour. No bare metal reflects less than 0.2, as black plastic does.
 DARKEST: Mapping[Kind, float] = {"metal": 0.2, "plastic": 0.002, "scattering metal": 0.002}
 BRIGHTEST = 0.998
 LIMIT = 1.92  # Half of the 95 % quantile of chi squared with one degree of freedom.
 FEWEST = 100
-MOST_SCATTER = 0.5  # A larger relative scatter is not that of one opaque material.
+MOST_SCATTER = 0.5  # No opaque material alone has a larger relative scatter.
 # At this many times the width alpha, GGX has 4 % of its peak, and indirect light is as strong.
 TAIL = 2.0
 WIDE = 0.3  # A wider interval of roughness is no result.

@@ -16,7 +16,7 @@ from ...rig.optics import Optics, picture_rays
 RADII_PX = (8, 6, 4, 3, 2)  # Half sides of the windows, the widest first.
 FILLED = 0.6  # A window needs depth in at least this share of its pixels.
 FLAT = 1.3  # A large window is flat if its residuals are at most this many times the noise.
-SPREAD = 1.5  # A window of n pixels may have larger residuals by chance: by this over root n.
+SPREAD = 1.5  # Chance may raise the residuals of a window of n pixels by this over root n.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +84,7 @@ def _planes(
 ) -> _Planes:
     side = 2 * radius_px + 1
     weight = known.astype(np.float64)
-    # Differences to the middle of all pixels keep the sums precise.
+    # Differences from the mean of all pixels keep the sums precise.
     value = np.stack([ray[..., 0], ray[..., 1], inverse_depth])
     value -= np.array([v[known].mean() if known.any() else 0.0 for v in value])[:, None, None]
     share = np.maximum(_mean(weight, side), 1e-12)

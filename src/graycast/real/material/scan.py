@@ -17,8 +17,8 @@ from ...dataset.safe_reading import Unreadable, read_mask
 from .observing import Reflections, observe
 from .saturated import continue_planes
 
-MOST_SATURATED = 0.5  # A surface of which a larger share is saturated is refused.
-LEAST_MEASURED = 0.3  # A rig with which a smaller share of the decoded pixels has depth is refused.
+MOST_SATURATED = 0.5  # A surface with a larger saturated share is refused.
+LEAST_MEASURED = 0.3  # A rig is refused if a smaller share of the decoded pixels has depth.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

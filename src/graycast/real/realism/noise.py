@@ -61,7 +61,7 @@ def measure_noise(scan: DepthScan) -> PatchNoise:
     flat, correlation = _flat(fit)
     clean = fit.used.all(axis=1) & flat
     count, loss = fit.used.sum(axis=1)[flat], _fit_loss(correlation, _PLANE)
-    # A hole removes one pixel's noise and one pixel; the loss by the fit does not change.
+    # A hole removes a pixel and its noise, but the fit still uses as many degrees of freedom.
     variance = fit.plane_power[flat] / (count - loss)
     depth_m = 1.0 / (fit.plane[flat, 0] / PATCH_PX)
     return PatchNoise(

@@ -160,7 +160,7 @@ def _against_itself(squares: Squares, seed: int) -> Auc:
     scans = sorted(set(squares.scan.tolist()))
     ways = list(combinations(scans, len(scans) // 2))
     if len(scans) % 2 == 0:
-        ways = ways[: len(ways) // 2]  # the others are the same halves, swapped
+        ways = ways[: len(ways) // 2]  # The second half of the ways has the same sets swapped.
     order = np.random.default_rng(seed).permutation(len(ways))[:_MOST_HALVES]
     halves = [
         (squares.of_scans(ways[k]), squares.of_scans([s for s in scans if s not in ways[k]]))

@@ -30,7 +30,7 @@ def open_depth(folder: Path, options: SourceOptions) -> Source:
             f"{folder}: depth alone does not state its camera: give --intrinsics K.json, or "
             "fx,fy,cx,cy"
         )
-    read_models({}, (), options.materials)  # refuses materials for named objects
+    read_models({}, (), options.materials)  # This refuses materials for named objects.
     if any(path.suffix.lower() == ".exr" for path in visible_entries(folder / "depth")):
         raise DatasetError(f"{folder / 'depth'}: has EXR files: save them as NPY or TIFF of floats")
     shots = find_shots(folder)

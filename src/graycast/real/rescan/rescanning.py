@@ -106,7 +106,7 @@ class ImageScanner:
         start = time.perf_counter()
         task = self._task
         scene, number = task.source.images[scene_id]
-        sums = task.source.sums(scene, [number])[number]  # before reading, to detect a later change
+        sums = task.source.sums(scene, [number])[number]  # Sums before reading show later changes.
         image = task.source.read(scene, number)
         _refuse_out_of_range(image, task.scanner)
         scanner = task.scanner

@@ -31,14 +31,14 @@ from ..depth_solid import STEP_M, Rounds, from_nearest, smooth_slopes, solid_of,
 from .source import SourceImage
 
 BACKGROUND = "background"
-_NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth nearer to an object than their sum belongs to it.
+_NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth nearer to an object than this sum belongs to the object.
 _MOST_BEHIND = 0.2  # If more of the objects' pixels have depth behind them, the poses are wrong.
 _LEAST_PX = 50  # Fewer pixels of objects do not show whether the poses are right.
 _FINE_M = 2e-4  # Depth with finer steps needs little smoothing.
 _SLOPE = 6.0  # Neighbours with a steeper slope in depth are not joined.
 _AROUND_PX = 5  # Sides extend to the largest depth in a square of this many pixels.
 _COARSE = 4  # The membrane is computed on blocks of this many pixels.
-_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance, and quantile of the light that gets it
+_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance that is given to this quantile of the light
 _DARKEST, _MOST = 0.03, 0.9
 _GREY = Material(base_color=(0.4, 0.4, 0.4))
 

@@ -23,7 +23,7 @@ from ..realism.patches import (
 )
 from ..realism.scan import tiles
 
-Places = Mapping[str, Bool[np.ndarray, "h w"]]  # by `PLACES`: where missing depth is counted
+Places = Mapping[str, Bool[np.ndarray, "h w"]]  # For each of `PLACES`: where missing depth counts
 _SIGMAS = 2.0  # A row agrees within this many standard deviations of the real mean.
 _LEAST_SPREAD = 0.05  # share of the mean, because few scans determine a spread badly
 _LEAST_KNOWN = 0.7  # This share of a square's differences must be known.

@@ -220,7 +220,7 @@ def _with_look(
         if share:
             scaled += np.float32(share) * coats[more]
     if coats:
-        np.maximum(scaled, 0, out=scaled)  # their independent noise may make it negative
+        np.maximum(scaled, 0, out=scaled)  # Independent noise may make a value negative.
     return np.where(is_bin, scaled, light)
 
 

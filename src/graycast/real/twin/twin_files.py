@@ -52,7 +52,7 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
         (aside / report.name).write_text(report_text(twin), encoding="utf-8")
         save_scanner(replace(twin.fit.scanner, rig=named), aside / rig.name)
         (aside / out.name).write_text(text, encoding="utf-8")
-        refuse_there(rig, report, picture, out)  # Another process may have written them meanwhile.
+        refuse_there(rig, report, picture, out)  # Another process may have written the files.
     return [out, rig, report, picture]
 
 

@@ -23,8 +23,8 @@ DEVICES = ("auto", "cpu", "llvm", "cuda")
 
 _VARIANT = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 _USER_CHOICE = "DRJIT_LIBLLVM_PATH"
-# It matches libLLVM-19.so, libLLVM-19.so.1, libLLVM-14.0.6.so.1 and libLLVM.so.22.1, but not the
-# reduced copy of a compiler, such as libLLVM-19-rust-1.82.0.so.
+# The pattern matches libLLVM-19.so, libLLVM-19.so.1, libLLVM-14.0.6.so.1 and libLLVM.so.22.1, but
+# not a compiler's reduced copy, such as libLLVM-19-rust-1.82.0.so.
 _LLVM_NAME = re.compile(r"libLLVM(?:-(\d+)[\d.]*\.so[\d.]*|\.so\.(\d+)[\d.]*)")
 _LLVM_FOLDERS = (
     "/usr/lib/*-linux-gnu",
@@ -274,7 +274,7 @@ def _elf_kind(path: Path) -> bytes | None:
             header = file.read(20)
     except OSError:
         return None
-    # In an ELF header, class and byte order are at 4 and 5, and the machine is at 18 and 19.
+    # In an ELF header, bytes 4 and 5 give class and byte order, and bytes 18 and 19 the machine.
     whole = len(header) == 20 and header[:4] == b"\x7fELF"
     return header[4:6] + header[18:20] if whole else None
 

@@ -16,7 +16,7 @@ from ..world.scene import Layout, Scene
 
 Patterns = UInt8[np.ndarray, "n ph pw"]  # Grey levels; 255 is white.
 DenoiserName = Literal["none", "oidn", "optix"]
-# It takes radiance, albedo and normals, each (h, w, 3) in float32, and returns clean radiance.
+# A denoiser takes radiance, albedo and normals, each (h, w, 3) float32, and returns radiance.
 Denoiser = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Samples = Annotated[int, Field(ge=1, le=65536, description="The number of light paths per pixel.")]
 PathDepth = Annotated[
@@ -27,8 +27,8 @@ PathDepth = Annotated[
         description="The largest number of surfaces on a light path. 1 is direct light only.",
     ),
 ]
-OnFrame = Callable[[int, int], None]  # Its arguments: finished renders and all renders of a scene.
-# Its arguments: finished samples and all samples of a stack. An exception in it ends the rendering.
+OnFrame = Callable[[int, int], None]  # Arguments: numbers of finished and of all renders of a scene
+# Arguments: numbers of finished and of all samples of a stack. An exception ends the rendering.
 OnPass = Callable[[int, int], None]
 
 

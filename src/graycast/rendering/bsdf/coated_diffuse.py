@@ -37,7 +37,7 @@ class CoatedDiffuse(ggx.GlossyBSDF):
         super().__init__(props, *lobes)
         eta = float(props["eta"])
         cosine = np.linspace(0, 1, ggx.TABLE)
-        self.eta = dr.opaque(mi.Float, eta)  # Opaque for the same reason as alpha.
+        self.eta = dr.opaque(mi.Float, eta)  # A literal would force a recompilation for each eta.
         if self.roughness is None:
             table = coat_albedo(float(props["alpha"]), eta)
             mean = float(np.trapezoid(2 * cosine * table, cosine))

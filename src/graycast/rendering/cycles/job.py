@@ -29,7 +29,7 @@ from ...world.scene import (
 from ..radiance import Patterns
 
 Bands = tuple[float, float, float]
-WHITE = -1  # The number of white in a frame's list of patterns.
+WHITE = -1  # This index in a frame's list of patterns means white.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +144,7 @@ def _field_tangent(rig: Rig) -> float:
         ]
     )
     tangent = np.linalg.norm(rays(projector, border)[:, :2], axis=-1).max()
-    # Light leaves the border of the lens at a larger angle than its middle.
+    # Light leaves the border of the lens at a larger angle than the middle of the lens.
     near_m = min(projector.focus_m, rig.near_m)
     return float(tangent + projector.aperture_m / near_m)
 

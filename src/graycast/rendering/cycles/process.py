@@ -116,7 +116,7 @@ class CyclesProcess:
         self._child.kill()
         self._child.wait()
         for stream in (self._jobs, self._answers, self._log):
-            with suppress(OSError):  # Data that was not sent is not needed any more.
+            with suppress(OSError):  # Unsent data is no longer needed.
                 stream.close()
 
     def _answer(self) -> dict[str, Any]:

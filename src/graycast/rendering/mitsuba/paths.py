@@ -98,7 +98,7 @@ class _Beam:
 class _Lamp:
     """One sample of the light from a lamp or the environment at a vertex."""
 
-    wo: mi.Vector3f  # Local frame
+    wo: mi.Vector3f  # Direction to the light, local frame
     lit: mi.Bool
     is_point: mi.Bool  # No other technique can find this light.
     pdf: mi.Float
@@ -155,7 +155,7 @@ class Tracer:
         samples = self.quality.samples
         if on_pass is None:
             return self._until(paths, samples)
-        dr.make_opaque(paths)  # Now the state is as after a pass, so all passes use one kernel.
+        dr.make_opaque(paths)  # All passes then use one kernel, as the state looks the same.
         each = max(1, PASS_SAMPLES // pixels)
         for done in [*range(each, samples, each), samples]:
             paths = self._until(paths, dr.opaque(mi.UInt32, done))

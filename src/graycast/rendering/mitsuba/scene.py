@@ -80,8 +80,8 @@ def build(scene: Scene, layout: Layout) -> MitsubaWorld:
         world["environment"] = environment
     for index, lamp in enumerate(scene.lamps):
         world[f"lamp{index}"] = _lamp(lamp)
-    # When it optimises, Mitsuba 3.9 merges rectangles of one material to a shape without bounds.
-    # Shadow rays to the environment, which are as long as the scene, then end too early.
+    # In its optimisation, Mitsuba 3.9 merges rectangles of one material into a shape without
+    # bounds. Shadow rays to the environment, which are as long as the scene, then end too early.
     loaded = mi.load_dict(world, optimize=False)
     shiny = {name for name, material in materials.items() if _is_shiny(material)}
     kinds = {material.transparent for material in materials.values()}
@@ -206,7 +206,7 @@ def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -
         normal = mesh.corner_normals.reshape(-1, 3) @ np.swapaxes(rotation, 1, 2)
         parameters["vertex_normals"] = _flat(normal)
     if mesh.corner_uv is not None:
-        uv = mesh.corner_uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]  # In Mitsuba, v is down.
+        uv = mesh.corner_uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]  # In Mitsuba, v points down.
         parameters["vertex_texcoords"] = _flat(np.broadcast_to(uv, (n, *uv.shape)))
     parameters.update()
     if (grain := material.grooves) is not None:
@@ -279,7 +279,7 @@ def _environment(scene: Scene) -> dict[str, object] | None:
 
 def _map_pixels(file: Path) -> np.ndarray:
     threads = dr.thread_count()
-    # Mitsuba 3.9 reads the rows of an EXR on Dr.Jit's threads; with only one it waits forever.
+    # Mitsuba 3.9 reads an EXR's rows on Dr.Jit's threads; with only one thread it waits forever.
     dr.set_thread_count(max(threads, 2))
     try:
         bitmap = mi.Bitmap(str(file))

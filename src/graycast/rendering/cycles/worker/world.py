@@ -99,7 +99,7 @@ def _mean_radiance(image: bpy.types.Image, file: str) -> float:
     pixels = np.empty(width * height * image.channels, dtype=np.float32)
     image.pixels.foreach_get(pixels)
     rows = pixels.reshape(height, width, image.channels)[..., :3].mean(axis=(1, 2), dtype=float)
-    border = np.cos(np.linspace(0, np.pi, height + 1))  # Equal from both poles
+    border = np.cos(np.linspace(0, np.pi, height + 1))  # Rows have equal angles from pole to pole.
     mean = float((border[:-1] - border[1:]) / 2 @ rows)
     if not 0 < mean < math.inf:
         raise ValueError(

@@ -17,11 +17,11 @@ from ...world.parts.sampling import spread_points
 from .grip import Grip, downs
 from .robust import SHAKE, Doubt
 
-CLEARANCE_M = 2e-3  # This gap is left between each open finger and the part.
+CLEARANCE_M = 2e-3  # Each open finger keeps this gap to the part.
 TURNS = 8  # At each place, this many turns about the axis of the pads are tried.
 PAD_LINES = 8  # number of lines from a pad to the part, on each of two rings
 PAD_GIVES_M = 0.5e-3  # The jaws press a rubber pad in by this depth.
-PROBES = 3000  # number of points of the part's surface, none of which may be inside a finger
+PROBES = 3000  # number of points on the part's surface; none may be inside a finger
 
 
 @public_value
@@ -210,7 +210,7 @@ def closing(
     corners = vertices[mesh.faces]
     low, high = corners[..., 1:].min(axis=1), corners[..., 1:].max(axis=1)
     near = ((low <= jaws.pad_radius_m) & (high >= -jaws.pad_radius_m)).all(axis=1)
-    a, b, c = np.moveaxis(corners[near], 1, 0)  # No line crosses the others.
+    a, b, c = np.moveaxis(corners[near], 1, 0)  # Lines meet none of the other triangles.
     cross = np.cross(b - a, c - a)
     outermost_m, slopes, ahead_m = [], [], []
     for side in (1.0, -1.0):

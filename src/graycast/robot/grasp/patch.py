@@ -142,7 +142,7 @@ def _is_surface(a, b, c, least_facing):
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     x, y, z = (ax + bx + cx) / 3, (ay + by + cy) / 3, (az + bz + cz) / 3
     length = math.sqrt((nx**2 + ny**2 + nz**2) * (x**2 + y**2 + z**2))
-    return abs(nx * x + ny * y + nz * z) > least_facing * length  # false where depth is missing
+    return abs(nx * x + ny * y + nz * z) > least_facing * length  # False if depth is missing
 
 
 @kernel()

@@ -55,5 +55,5 @@ def read_tool(path: Path) -> AnyTool:
     content = parse_yaml(read_text(path), path)
     section: Any = content.get("tool", content)
     if isinstance(section, dict):
-        section = {"kind": "suction"} | section  # as in a cell
+        section = {"kind": "suction"} | section  # A cell has this default, too.
     return check_settings({"tool": section}, ToolFile, path).tool

@@ -14,9 +14,9 @@ from ..grasp import DepthView, Grip, SuctionSearch
 from ..pose import PoseModel, find_pose, find_pose_in_box
 from .obstacles import FLOOR_M, WALL_M
 
-LEAST_AREA = 0.3  # A detection must have at least this share of the largest one's pixels.
+LEAST_AREA = 0.3  # A detection needs at least this share of the largest detection's pixels.
 LEAST_POSE = 0.3  # No grip is taken from a pose with a lower score.
-BESIDE_PX = 2  # Covering parts are searched within this distance of the outline.
+BESIDE_PX = 2  # The search for covering parts extends this far from the outline.
 COVERED_M = 8e-3  # A surface nearer to the camera by more than this covers the part.
 COVERED_SHARE = 0.08  # A part counts as covered if more than this share of its outline is covered.
 PLACES = 40  # Each round of the search without a model tries this many grips for each detection.
@@ -173,8 +173,8 @@ def aims_by_pose(
 
 
 def _pose(model: PoseModel, target: Candidate, view: DepthView) -> Float[np.ndarray, "4 4"] | None:
-    # A detector's masks are coarse, and a pose leans on the outline of its mask: more poses are
-    # right from its boxes (docs/measurements/pose.md). Truth has masks alone.
+    # A detector's masks are coarse, and a pose depends on the mask's outline, so more poses are
+    # right with its boxes (docs/measurements/pose.md). Truth has only masks.
     if target.box_px is not None:
         box_px = np.asarray(target.box_px)
         match = find_pose_in_box(model, view.depth_m, view.camera, box_px)

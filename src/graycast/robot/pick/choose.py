@@ -16,13 +16,13 @@ from .ready import Ready
 from .robot import Joints, Obstacle, tool_touches
 from .ways import Blocked, Load, Ways, WaySearch
 
-TABU_M = 0.015  # No grip this near to one that failed is tried until a part near it is picked.
-BLOCKED_M = 0.04  # Grips this near to an unreachable one are tried after all others.
-ALIKE_M = 0.008  # For planning, similar grips within this distance are one.
+TABU_M = 0.015  # No grip this near to a failed grip is tried until a part near it is picked.
+BLOCKED_M = 0.04  # Grips this near to an unreachable grip are tried last.
+ALIKE_M = 0.008  # Planning treats similar grips within this distance as one grip.
 LEAST_UP_M = 0.02
 # The visible middle of an unknown part is this near to its centre of mass, along each axis.
 UNKNOWN_CENTER_M = 0.01
-# A surface farther from the part's, on a larger share of the tool's area, is another body's.
+# A surface that is farther off the part's surface, on more of the tool's area, is another body.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 _MISSING = (
     "no detection",

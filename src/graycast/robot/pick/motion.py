@@ -90,7 +90,7 @@ def _connected(
     from ompl.util import RNG, noOutputHandler
 
     noOutputHandler()
-    RNG.setSeed(seed + 1)  # OMPL takes seed 0 from the clock.
+    RNG.setSeed(seed + 1)  # With seed 0, OMPL would use the clock.
     space = base.RealVectorStateSpace(len(start))
     bounds = base.RealVectorBounds(len(start))
     for i, (low, high) in enumerate(zip(robot.low, robot.high, strict=True)):

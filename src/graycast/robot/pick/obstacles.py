@@ -28,7 +28,7 @@ from .robot import Obstacle
 CELL_M = 4e-3
 BESIDE = ndimage.generate_binary_structure(2, 1)  # maximum of a node and its four neighbours
 GUESSED_M = 8e-3
-NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if this many beside it differ less in depth.
+NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if this many neighbours differ less in depth.
 FLOOR_M = 3e-3  # Points less than this above the bin's floor belong to the floor.
 WALL_M = 5e-3  # Points nearer than this to a wall belong to the wall.
 BELOW_M = 0.05  # thickness of the table, and depth of the solid heap below the floor
@@ -154,7 +154,7 @@ def heap_obstacle(heap: MeasuredHeap, T_base_world: Float[np.ndarray, "4 4"]) ->
     import coal
 
     rows, columns = heap.height_m.shape
-    # Coal's rows run from the far side of y to the near one.
+    # Coal's rows run from the far side along y to the near side.
     field = coal.HeightFieldOBBRSS(
         (columns - 1) * CELL_M, (rows - 1) * CELL_M, np.ascontiguousarray(heap.height_m[::-1]),
         -BELOW_M,

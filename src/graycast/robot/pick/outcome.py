@@ -14,9 +14,9 @@ class Outcome(StrEnum):
     NOTHING_FOUND = "nothing found"  # no part, no pose, or no place where a tool would hold
     COLLISION_SEEN = "collision seen"  # Every grip would push the tool into the measured heap.
     UNREACHABLE = "unreachable"  # no joint angles, or no free way
-    GIVEN_UP = "given up"  # Every grip is near one that failed before.
+    GIVEN_UP = "given up"  # Every grip is near a failed one.
     PICKED = "picked"
-    TWO_AT_ONCE = "two at once"  # Another part left the bin together with it.
+    TWO_AT_ONCE = "two at once"  # Another part left the bin with the target.
     MISSED = "missed"  # The tool touched nothing.
     WRONG_POSE = "wrong pose"  # The pose was wrong by over `WRONG_RAD` or `WRONG_M`.
     NOT_HELD = "not held"  # The cup did not seal, or the jaws did not close on both sides.
@@ -33,7 +33,7 @@ BEFORE_MOVING = (
 )
 # With these outcomes, the tool has taken the part out of the bin.
 TAKEN = (Outcome.PICKED, Outcome.TWO_AT_ONCE)
-# A pose is called wrong beyond this; symmetries of the part make no difference.
+# A pose with a larger error is wrong; symmetries of the part make no difference.
 WRONG_RAD, WRONG_M = np.radians(10.0), 5e-3
 
 

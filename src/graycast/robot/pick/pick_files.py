@@ -132,7 +132,7 @@ def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
 def _tidy(out: Path) -> None:
     """Release and remove an output folder in which no bin was finished."""
     with suppress(OSError):
-        (out / BINS).rmdir()  # only where no bin was finished
+        (out / BINS).rmdir()  # This works only if no bin was finished.
         (out / CLAIM).unlink(missing_ok=True)
         (out / _LOCK).unlink(missing_ok=True)
         out.rmdir()

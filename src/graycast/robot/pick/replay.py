@@ -25,7 +25,7 @@ from .robot_cell import PickCell, resolve_pick_cell
 from .solids import joined, shape_mesh
 from .tools import T_flange_tip, Tool
 
-AT_GRIP_M = 1e-3  # The tip may be this far off its target at the grip: files are rounded to less.
+AT_GRIP_M = 1e-3  # The tip may be this far off its target at the grip; rounding errs by less.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,7 +188,7 @@ def _held_until(
         return None
     if attempt["outcome"] in {str(outcome) for outcome in TAKEN}:
         return float(time_s[-1])
-    lost_s = attempt.get("lost_s")  # Older folders lack it.
+    lost_s = attempt.get("lost_s")  # Older folders lack this key.
     return None if lost_s is None else float(time_s[grip] + lost_s)
 
 

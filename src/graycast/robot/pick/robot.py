@@ -23,7 +23,7 @@ _STEPS, _STARTS = 60, 12
 _ALIKE_RAD = 0.05
 _DAMPING = 1e-6
 EXACT_M, EXACT_RAD = 1e-5, 1e-4
-# Neither maker states accelerations; with these a joint is at full speed after half a second.
+# Neither maker states accelerations; with this one a joint has full speed after half a second.
 ACCELERATION_RAD_S2 = 6.0
 
 

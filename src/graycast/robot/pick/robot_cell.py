@@ -53,7 +53,7 @@ class PickCell:
         own = {
             name: hashlib.sha256(path.read_bytes()).hexdigest()
             for name, path in named.items()
-            if path.is_file()  # Otherwise, opening it names the missing file.
+            if path.is_file()  # Opening a missing file later names that file.
         }
         return self.cell.file_digests | own
 

@@ -18,8 +18,8 @@ KINDS = 7
 
 
 # In a box, a visible pixel is worth 1, and a contradicted one -1. The other numbers were chosen on
-# brackets in heaps: the tempting mistakes are a part sunk flush into the floor (the surface goes
-# on around it, and the true part hides it) and a neighbour.
+# brackets in heaps. The likely mistakes are a neighbour, and a part sunk flush into the floor,
+# where the surface continues around the part and the true part hides it.
 OUTSIDE = 0.3  # A pixel that agrees, but outside the box, is worth this.
 HIDING = 1.0  # cost of a hidden pixel
 GOING_ON = 3.0  # cost of a pixel next to the part where the part's surface continues

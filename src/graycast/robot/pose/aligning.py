@@ -8,7 +8,7 @@ from ...base.kernels import kernel
 from .closest import add_row, fill_row, solved, turn_by
 from .drawing import draw
 
-REACH_PX = 4.0  # An outline is searched within this distance of its predicted position.
+REACH_PX = 4.0  # The search for an outline extends this far from its predicted position.
 LINE_STEP_PX = 0.5
 
 

@@ -81,7 +81,7 @@ def draw(T, part, window, canvas):
         a, b, c = cam[i], cam[j], cam[k]
         if a[2] <= 0 or b[2] <= 0 or c[2] <= 0:
             continue
-        # Edge functions: the ray's products with b x c, c x a, a x b.
+        # The edge functions are the ray's products with b x c, c x a and a x b.
         e0x, e0y, e0z = _cross(b, c)
         volume = a[0] * e0x + a[1] * e0y + a[2] * e0z
         if volume >= 0:

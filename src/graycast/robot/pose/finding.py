@@ -215,7 +215,7 @@ def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) ->
         for k in np.argsort(-first, kind="stable")[:ALIGNED]
         for T in (trials.align(guesses[k]), guesses[k])
     )
-    best = max(both, key=lambda trial: trial.worth)  # The first of several equal ones is taken.
+    best = max(both, key=lambda trial: trial.worth)  # Of equal trials, max takes the first.
     for _ in range(TRIES):
         before = best
         for turn in model.turns[1:]:

@@ -14,8 +14,8 @@ from .model import PoseModel
 
 TOLERANCE = 0.02  # tolerance of a measurement, as a share of the diameter
 TOLERANCE_SIGMAS = 3.5  # tolerance as a multiple of the noise, if that is more
-# A pixel's depth counts within this many tolerances, step by step. The first gate covers the error
-# that ICP may leave. The last is one and a half times the limit for a visible pixel.
+# In successive steps, a pixel's depth counts within this many tolerances. The first gate covers the
+# error that ICP may leave. The last is one and a half times the limit for a visible pixel.
 GATES = (6.0, 5.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
 EDGE = 3.0  # At a part's outline, the depth falls back by more than this many tolerances.
 LEAST_PIXELS = 30  # Another orientation of a part needs at least this many pixels.

@@ -142,7 +142,7 @@ class StoreSection(Settings):
         default=None,
         gt=0,
         le=1000,
-        exclude=True,  # a dataset states it as its depth_scale
+        exclude=True,  # A dataset states this value as its depth_scale.
         description="One step of the depth pictures in millimetres. Without this key, 16 "
         "bits span the range.",
     )

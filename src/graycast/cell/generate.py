@@ -45,7 +45,7 @@ class Summary:
     set_aside: tuple[SetAside, ...]
     seconds: float
     reasons: dict[str, float]
-    part_reasons: dict[str, float]  # of the pixels that see parts
+    part_reasons: dict[str, float]  # shares among the pixels that see parts
 
 
 def generate(

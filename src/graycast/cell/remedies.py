@@ -12,7 +12,7 @@ from .metering import metered_region
 from .simulate import Shot, on_part
 
 LEAST_GAIN = (
-    0.005  # A change that gives fewer of the parts' pixels depth does not help; our choice.
+    0.005  # A change must give this share more of the parts' pixels depth; our choice.
 )
 MORE_WRONG = 0.005  # A change may raise the share of wrong depths by this much; our choice.
 

@@ -19,8 +19,8 @@ from ..world.scene import Bin
 
 Pose = Float[np.ndarray, "4 4"]
 MOST_VIEWS = 1000
-FARTHEST_SIGMAS = 3.0  # A jitter draws again beyond this.
-_BEYOND = 0.05  # in rad beyond a picture's edge, whose middle a lens may bend outwards
+FARTHEST_SIGMAS = 3.0  # A jitter beyond this many sigmas is drawn again.
+_BEYOND = 0.05  # [rad] beyond a picture's edge, as a lens may bend the edge's middle outwards
 _TURN = 13  # number of azimuths at which the depth of a dome is computed
 
 Tilt = SpanOf[Annotated[float, Field(ge=0, le=80)]]

@@ -31,7 +31,7 @@ from .domain_sections import (
 from .named_files import Domain
 from .vary import lamp_of, shared_out, with_rig_and_bin
 
-PARTS_MAX = 255  # the most parts of one drop
+PARTS_MAX = 255  # largest number of parts in one drop
 LAMP_TRIES = 1000
 
 Streams = Mapping[str, np.random.Generator]

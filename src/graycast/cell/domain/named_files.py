@@ -27,7 +27,7 @@ class Domain:
     bin_textures: tuple[Path, ...] = ()
     table_textures: tuple[Path, ...] = ()
     distractors: tuple[Part, ...] = ()
-    notes: tuple[str, ...] = ()  # on the distractors' meshes
+    notes: tuple[str, ...] = ()  # notes about the distractors' meshes
 
 
 def resolve_domain(

@@ -70,7 +70,7 @@ class LocalPool:
         worker = next(worker for worker in busy if worker.connection in heard)
         outcome = worker.result()
         if isinstance(outcome, TaskResult) and outcome.rss_bytes > self._memory_bytes:
-            worker.end()  # between two scenes, before the system kills it during one
+            worker.end()  # End the worker between scenes, before the system kills it during one.
             if worker.scenes == 1:  # Another process would need as much memory.
                 self._warn(outcome.rss_bytes)
         return outcome
@@ -94,7 +94,7 @@ class LocalPool:
     def close(self) -> None:
         for worker in self._workers:
             if worker.busy:
-                worker.stop()  # rather than wait for minutes
+                worker.stop()  # Stopping avoids a wait of minutes.
             else:
                 worker.end()
         self._temporary.cleanup()
@@ -120,10 +120,10 @@ class _Worker:
         self._process: BaseProcess | None = None
 
     def submit(self, scene_id: int) -> None:
-        # Busy before it receives the scene, so that a run stopped meanwhile does not wait for it.
+        # It is busy before it gets the scene, so that a run stopped meanwhile does not wait for it.
         self._scene_id, self.busy = scene_id, True
         if self.connection is None or not self._send(scene_id):
-            self.stop()  # it was killed while idle
+            self.stop()  # The process was killed while idle.
             self._start()
             self.busy = True
             self._send(scene_id)  # if the new process is dead, too, `result` reports it
@@ -165,7 +165,7 @@ class _Worker:
             error = unreadable
             self.end()
         else:
-            self.busy = False  # only now: until here, the process is not idle
+            self.busy = False  # Only here does the process become idle.
             self.scenes += 1
             if isinstance(outcome, TaskResult):
                 return outcome
@@ -178,7 +178,7 @@ class _Worker:
         """Let the idle process end; the next scene starts a new process."""
         self.busy = False
         if self.connection is not None:
-            self.connection.close()  # it ends when the pipe is closed
+            self.connection.close()  # The process ends when the pipe is closed.
         if self._process is not None:
             self._process.join()
         self.connection = self._process = None

@@ -12,7 +12,7 @@ from ...dataset.set_aside import SetAside
 from .job import Job, TaskResult, is_foreseen, is_the_scenes_own
 
 TRIES = 3
-# If this many scenes are lost in a row, besides those in work, the machine is faulty.
+# If this many scenes are lost in a row, besides scenes in progress, the machine is faulty.
 _IN_VAIN = 10
 
 
@@ -110,7 +110,7 @@ def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[TaskResult | Fai
             driver or full memory, so further scenes would fail, too.
     """
     waiting, failures, running = deque(scene_ids), Counter[int](), 0
-    lost: set[int] = set()  # since the last finished scene
+    lost: set[int] = set()  # scenes lost since the last finished one
     while waiting or running:
         while waiting and pool.free:
             pool.submit(waiting.popleft())

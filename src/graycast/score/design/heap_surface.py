@@ -161,7 +161,7 @@ def _cone(box: Bin, cone_deg: float) -> list[tuple[Optics, Float[np.ndarray, "4 
     """Return far eyes above the bin, from all sides and up to `cone_deg` from the vertical."""
     low, high = box.bounds_m
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    away_m = 10 * radius_m  # nearly parallel rays
+    away_m = 10 * radius_m  # From far away, the rays are nearly parallel.
     f_px = 0.5 * LEAST_PX * away_m / (1.15 * radius_m)  # Parts may stick out at the top.
     eye = pinhole(LEAST_PX, LEAST_PX, f_px)
     eyes = []

@@ -31,18 +31,18 @@ class Fate(StrEnum):
 
     MEASURED = "measured"
     OUTSIDE_PICTURE = "outside_picture"  # outside the camera's picture
-    HIDDEN_BY_WALL = "hidden_by_wall"  # The bin hides it from the camera.
-    HIDDEN_BY_PARTS = "hidden_by_parts"  # Parts hide it from the camera, or it faces away.
+    HIDDEN_BY_WALL = "hidden_by_wall"  # The bin hides the point from the camera.
+    HIDDEN_BY_PARTS = "hidden_by_parts"  # Parts hide the point from the camera, or it faces away.
     OUTSIDE_PROJECTOR = "outside_projector"
-    WALL_SHADOW = "wall_shadow"  # The camera sees it, but the bin blocks the projector's light.
+    WALL_SHADOW = "wall_shadow"  # The camera sees the point, but the bin blocks the projector.
     PART_SHADOW = "part_shadow"
     EDGE = "edge"  # The pixel's centre shows another surface: the pixels are too coarse.
-    DARK = "dark"  # It is lit but returns too little light: it is dark, or glossy and tilted.
+    DARK = "dark"  # The point is lit but returns too little light: dark, or glossy and tilted.
     GLARE = "glare"  # the pixel is saturated
     INTERREFLECTION = "interreflection"  # light from elsewhere contradicts the code
-    FILTERED = "filtered"  # taken out as an outlier
+    FILTERED = "filtered"  # The pixel was removed as an outlier.
     OUT_OF_RANGE = "out_of_range"
-    WRONG = "wrong"  # Its depth is farther from the truth than the study allows.
+    WRONG = "wrong"  # The depth is farther from the truth than the study allows.
 
 
 FATE_COLOR = {
@@ -80,11 +80,11 @@ _NUMBER = {fate: number for number, fate in enumerate(FATES)}
 class SurfaceView:
     """Visibility of a heap's points to a setting's camera and projector; codes do not change it."""
 
-    camera: Int[np.ndarray, " n"]  # a `Visibility` each
+    camera: Int[np.ndarray, " n"]  # a `Visibility` for each point
     projector: Int[np.ndarray, " n"]
-    row: Int[np.ndarray, " n"]  # of the camera's pixel; 0 where a point is outside the picture
+    row: Int[np.ndarray, " n"]  # row of the camera's pixel; 0 for points outside the picture
     column: Int[np.ndarray, " n"]
-    z_m: Float[np.ndarray, " n"]  # of the camera
+    z_m: Float[np.ndarray, " n"]  # z in the camera's frame
     z_projector_m: Float[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
@@ -101,7 +101,7 @@ def view_of(scene: Scene, layout: Layout, surface: HeapSurface) -> SurfaceView:
     camera = sight(obstacles, rig.camera, scene.T_world_cam, surface.point_m, surface.normal)
     pixel = np.rint(project(rig.camera, at))
     inside = camera != Visibility.OUTSIDE
-    # An enlarged picture ends where the camera's own does, but rounds half pixels by itself.
+    # An enlarged picture has the camera's borders, but it rounds half pixels differently.
     last = np.array([rig.camera.width_px - 1, rig.camera.height_px - 1])
     column, row = np.where(inside[:, None], pixel, 0.0).clip(0, last).astype(np.int64).T
     return SurfaceView(

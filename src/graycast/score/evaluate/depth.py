@@ -138,7 +138,7 @@ def incidence_rad(
     ideal = undistort(direction, (k1, k2, p1, p2, k3))
     ray = np.concatenate([ideal, np.ones((*depth_m.shape, 1))], axis=-1)
     point = _with_border(depth_m[..., None].astype(float) * ray)
-    # From the pixel before to the pixel after; NaN at the border.
+    # These vectors go from the previous to the next pixel; they are NaN at the border.
     across, down = point[1:-1, 2:] - point[1:-1, :-2], point[2:, 1:-1] - point[:-2, 1:-1]
     normal = np.cross(across, down)
     length = np.linalg.norm(normal, axis=-1) * np.linalg.norm(ray, axis=-1)

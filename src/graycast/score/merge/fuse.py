@@ -21,8 +21,8 @@ from .looking import ViewAgreement, look
 from .view import MeasuredView, Points, points_of
 from .view_poses import pose_doubts
 
-# Reasons in addition to a dataset's: the first view has no such point, as it measured something
-# behind the place or in front of it, or as the place is outside its picture.
+# Reasons in addition to a dataset's, for places without a point in the first view: the view
+# measured something behind the place or in front of it, or the place is outside its picture.
 THROUGH, HIDDEN, OUTSIDE = 253, 254, 255
 MOST = 250  # the most views in a merge, because view numbers have eight bits
 
@@ -69,8 +69,8 @@ class Fused:
     cloud: FusedCloud
     doubts: tuple[str, ...]
     measured_px: tuple[int, ...]
-    confirmed_px: tuple[int, ...]  # by another view
-    rejected_px: tuple[int, ...]  # more views saw through them than confirmed them
+    confirmed_px: tuple[int, ...]  # pixels that another view confirms
+    rejected_px: tuple[int, ...]  # pixels that more views see through than confirm
 
 
 def fuse(views: Sequence[MeasuredView]) -> Fused:

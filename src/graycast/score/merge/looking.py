@@ -12,7 +12,7 @@ from ...rig.optics import pixels_of
 from .view import LEAST_COSINE, MeasuredView, Points
 
 SIGMAS = 4.0  # Views of one surface may differ by this many standard deviations.
-_TURNED = 0.5  # Normals that differ by more than 60 degrees (this cosine) are of two surfaces.
+_TURNED = 0.5  # Normals that differ by more than 60 degrees (this cosine) belong to two surfaces.
 _ASIDE = 1.0  # Another view's point may replace this one up to this many pixels away.
 # Largest deviation from the plane per metre of lateral distance; the second is for pixels that have
 # no plane.

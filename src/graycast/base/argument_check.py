@@ -95,7 +95,7 @@ def _checker(
     name: str, source: Any, signature: inspect.Signature
 ) -> Callable[[tuple[Any, ...], Mapping[str, Any]], None]:
     @cache
-    def hints() -> dict[str, Any]:  # Lazy: an annotation may name a later class.
+    def hints() -> dict[str, Any]:  # This is lazy, as an annotation may name a later class.
         return typing.get_type_hints(source)
 
     def check(args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> None:

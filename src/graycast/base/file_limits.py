@@ -178,7 +178,7 @@ def _stated_size(file: _File) -> tuple[int, int]:
     if head.startswith(b"\x89PNG"):
         return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
     if head[:4] in _TIFF:
-        tags = _tiff_tags(file)  # Pillow opens no TIFF of three floats a pixel.
+        tags = _tiff_tags(file)  # Pillow cannot open a TIFF with three floats per pixel.
         return tags[256], tags[257]
     if head.startswith(b"\x76\x2f\x31\x01"):  # OpenEXR states the first and last column and row.
         at = head.index(b"dataWindow\0box2i\0") + 21
@@ -189,7 +189,7 @@ def _stated_size(file: _File) -> tuple[int, int]:
         if size is None:
             raise ValueError("no size")
         return int(size[2]), int(size[1])
-    from PIL import Image  # It takes long to import, and a PNG does not need it.
+    from PIL import Image  # Pillow is slow to import, and a PNG does not need it.
 
     Image.init()
     for factory, accepts in Image.OPEN.values():  # `Image.open` would warn of large sizes.
@@ -206,6 +206,6 @@ def _tiff_tags(file: _File) -> Mapping[int, Any]:
     tags = ImageFileDirectory_v2(head if 43 in head[2:4] else head[:8])
     file.seek(tags.next)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of tags that are damaged
+        warnings.simplefilter("ignore")  # Damaged tags would cause warnings.
         tags.load(file)
     return tags

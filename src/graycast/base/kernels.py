@@ -168,7 +168,7 @@ class _Locator(_CacheLocator):
             line = py_func.__code__.co_firstlineno
             locator = cls(py_file, line, module, folder / f"{module}-{digest}")
             locator.ensure_cache_path()
-            os.utime(locator._folder)  # This is the time of its last use.
+            os.utime(locator._folder)  # This stores the time of the folder's last use.
         except OSError:
             return None
         return locator

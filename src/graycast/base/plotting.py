@@ -15,7 +15,7 @@ from .folder import fill_whole
 INK, ACCENT, SECOND, SOFT, PALE = "#1f2933", "#0b6e99", "#c4622d", "#9aa5b1", "#e4e7eb"
 
 
-# Offsets [pt] of a name from its point, the best one first.
+# Offsets [pt] of a name from its point, the best offset first.
 _SIDES = tuple(
     ((x, y), side)
     for y in (-10, 6, -20, 16, -30, 26)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from .argument_check import refuse_unknown
 
-MOST_CHARACTERS = 200  # of the text of a value
+MOST_CHARACTERS = 200  # largest length of a value's text
 _MOST_OF_TEXT, _MOST_ITEMS = 60, 4
 _UNITS = {
     "m": "m", "mm": "mm", "px": "px", "s": "s", "rad": "rad", "deg": "degrees", "e": "electrons",

@@ -106,7 +106,7 @@ def check_fields(value: object) -> None:
     kind: Any = type(value)  # `Any`, because mypy doubts that a type is hashable
     for name, (allowed, default, about) in _limits(kind).items():
         item = getattr(value, name)
-        # Unpickled infinity is another object than the default.
+        # Unpickled infinity is a different object from the default.
         if item is default or default == math.inf == item:
             continue
         if not isinstance(allowed, TypeAdapter):
@@ -233,7 +233,7 @@ def _first_problem(error: ValidationError, model: type[Settings], *, whole: str)
     # pydantic counts only valid items, so a list with an invalid item may also be "too short".
     inside = {problem["loc"][:-depth] for problem in problems for depth in range(1, 8)}
     problems = [p for p in problems if p["type"] != "too_short" or p["loc"] not in inside]
-    # A misspelt key goes first, because it explains the one that is missing.
+    # A misspelt key goes first, because it explains the missing key.
     first = next((p for p in problems if p["type"] in _UNKNOWN), problems[0])
     key = ".".join(_place(model, first["loc"])[0]) or whole
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

@@ -10,12 +10,12 @@ from enum import IntEnum
 
 import numpy as np
 
-# `SCENE` are the streams of a dataset's seed; each image has its own streams `OF_IMAGE`.
+# `SCENE` names the streams of a dataset's seed; each image has its own streams `OF_IMAGE`.
 SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")
 OF_IMAGE = ("render", "noise", "picture")
-_RESCAN = 1 << 31  # It replaces the index of a scanner, which is always smaller.
+_RESCAN = 1 << 31  # This number replaces the index of a scanner, which is always smaller.
 DOMAIN = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "distractors")
-EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed has these.
+EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed has these streams.
 
 
 class CaptureStream(IntEnum):

@@ -277,7 +277,7 @@ def micro_phase(
     return Code(width_px=width_px, height_px=height_px, frames=(*_ENDS, *frames))
 
 
-# From a random search: the cosines of any two of 80 periods differ by over 0.24, of 120 by 0.12.
+# A random search gave these: cosines of any two of 80 periods differ by over 0.24, of 120 by 0.12.
 _MICRO_RATIOS = (0.9432, 0.9077, 1.0869, 1.1273, 1.1023)
 
 

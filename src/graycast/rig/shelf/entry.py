@@ -95,7 +95,7 @@ class Claims(Settings):
 
     fields: tuple[FieldClaim, ...] = ()
     noise: FigureClaim | None = None  # temporal noise, point precision or Z repeatability, 1 sigma
-    spacing: FigureClaim | None = None  # between neighbouring points
+    spacing: FigureClaim | None = None  # distance between neighbouring points
     trueness: FigureClaim | None = None
     trueness_share: Positive | None = None  # relative to the measured length
     capture_s: PositiveSpan | None = None

@@ -279,7 +279,7 @@ def _split_image_problems(
         of_scene = scene.record("scene_gt_coco", records.SceneCoco).annotations
         infos = scene.of_image("scene_gt_info", image, list[records.Info])
     except Unreadable:
-        return  # reported by the check of the scene
+        return  # The check of the scene reports this.
     annotations = [entry for entry in of_scene if entry.image_id == image]
     visible = [info.visib_fract for info in infos if info.px_count_visib > 0]
     if not len(entries) == len(annotations) == len(visible):

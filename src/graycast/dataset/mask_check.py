@@ -159,7 +159,7 @@ def _surface_problems(
             f"pixels, by {np.median(off):.3g} mm in the middle"
         )
     hidden = rendered & mask & ~visible
-    # Where parts touch, both have the same depth along a line, as at edges.
+    # Where parts touch, both parts have the same depth along a line, as at edges.
     covered = (depth_mm > 0) & (depth_mm < z_mm - tolerance_mm)
     bare = int((hidden & ~covered).sum())
     if bare > DEPTH_PX + DEPTH_SHARE * hidden.sum() + allowed:

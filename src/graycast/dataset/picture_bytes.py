@@ -12,9 +12,9 @@ from ..base.errors import DatasetError
 from ..rendering.radiance import Silhouette
 from .records import MM_PER_M
 
-_PNG_LEVEL = 2  # Higher ones take twice the time for a hundredth of the size.
+_PNG_LEVEL = 2  # Higher levels take twice the time and save a hundredth of the size.
 _STEP_MAX = 65535
-DEPTH_MAX = _STEP_MAX - 1  # Cameras write 65535 where they measured nothing, so readers take it so.
+DEPTH_MAX = _STEP_MAX - 1  # Cameras write 65535 for missing depth, so readers treat it as missing.
 _SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 
 

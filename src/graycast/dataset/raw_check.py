@@ -18,7 +18,7 @@ from .safe_reading import Unreadable
 from .sample import Raw
 from .scene_folder import SceneFolder, of_sensor
 
-# A pixel of these has a projector position, even if its depth was rejected.
+# A pixel with one of these reasons has a projector position, even if its depth was rejected.
 _POSITIONED = (Reason.DECODED, Reason.OUT_OF_RANGE, Reason.OUTLIER)
 _GRAY_DN = 1  # Processors may round a half differently.
 

@@ -22,7 +22,7 @@ from .seal import sum_problems
 _COCO, _POSES = "scene_gt_coco_sl", "scene_gt_sl"
 _APART_MM, _TURNED = 0.01, 5e-3  # Files may round R to three digits.
 _AGAIN = "restore the original, or remove this scene and run graycast rescan again"
-_NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths may be 2 % off the perfect ones.
+_NEAR, _MOST_FAR = 0.02, 0.5  # At most half of the depths may be 2 % off the perfect depth.
 
 
 def scene_records(records: Mapping[int, ImageRecord]) -> dict[str, dict[str, Any]]:

@@ -19,7 +19,7 @@ from .json_text import json_bytes
 from .safe_reading import png_pixels
 
 MANIFEST = "manifest.json"
-SUMS, OWN = "sha256", "manifest_sha256"  # A manifest has both; `graycast.json` has the first.
+SUMS, OWN = "sha256", "manifest_sha256"  # A manifest has both keys; `graycast.json` has the first.
 # A scene's further images have these; the facts of the first image are the manifest's own keys.
 FURTHER, FURTHER_TIMINGS = "further_images", "further_timings"
 OWN_FACTS = (

@@ -116,7 +116,7 @@ def _open_coco(path: Path) -> Foreign:
         for number, entry in enumerate(content[name]):
             _check(entry, form, f"{path}: {name}[{number}]")
     refuse_repeated(content, str(path))
-    # If a file mixes both, numbers come before strings.
+    # If a file mixes numeric and text ids, numbers come first.
     images = sorted(content["images"], key=lambda one: (isinstance(one["id"], str), one["id"]))
     if not images:
         raise DatasetError(f"{path}: has no images")

@@ -13,7 +13,7 @@ class Ask:
 
     number: int
     config: Config
-    unturned: Config  # the same, but with the file's ambient light and projector power
+    unturned: Config  # the configuration with the file's ambient light and projector power
     ambient: float
     power: float
     frame: int  # index of the captured frame to show

@@ -50,12 +50,12 @@ class Superseded(Exception):
 class LightState:
     """A rendering, and the light with which it was made."""
 
-    key: Hashable  # It identifies the light without the two factors.
+    key: Hashable  # The key identifies the light without the two factors.
     number: int  # Each rendering has its own number.
     ambient: float
     power: float
     quality: Quality
-    final: bool  # whether it has all configured samples
+    final: bool  # whether the rendering has all configured samples
     rendering: Rendering
 
 

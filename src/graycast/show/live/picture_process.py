@@ -90,7 +90,7 @@ class PictureProcess:
         self._process.start()
         theirs.close()
         self._on_answer, self._on_end = on_answer, on_end
-        self._lock = Lock()  # It guards the next three and sending on the pipe.
+        self._lock = Lock()  # The lock guards the next three attributes and sending on the pipe.
         self._on_the_way = self._stopping = False
         self._waiting: Ask | None = None
         self._thread = Thread(target=self._listen, daemon=True)
@@ -110,7 +110,7 @@ class PictureProcess:
 
     def _send(self, ask: Ask) -> None:
         self._on_the_way, self._waiting = True, None
-        with suppress(BrokenPipeError, OSError):  # `on_end` reports it.
+        with suppress(BrokenPipeError, OSError):  # `on_end` reports this error.
             self._connection.send(ask)
 
     def _taken(self) -> None:

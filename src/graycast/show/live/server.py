@@ -51,7 +51,7 @@ class Server:
         self.session = Session(path, scene_id=scene_id, device=device, on_message=self._tell)
         self._pages: list[SimpleQueue[Message]] = []
         self._lock = threading.Lock()
-        self._turn = threading.Lock()  # It serialises opening and pausing.
+        self._turn = threading.Lock()  # This lock serialises opening and pausing.
         self._pause: threading.Timer | None = None
         try:
             self._http = _Http((HOST, port), _Handler)

@@ -67,7 +67,7 @@ class Session:
         self._own: set[Path] = set()  # This session has written these files.
         self._lock = RLock()
         self._maker: PictureProcess | None = None
-        self._has_finished = False  # This concerns the running process.
+        self._has_finished = False  # whether the running process has made an exact result
         self._folder = Path(tempfile.mkdtemp(prefix="graycast-live-"))
 
     # --- opening and closing ------------------------------------------------------------------

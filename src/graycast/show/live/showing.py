@@ -40,7 +40,7 @@ class PageContent:
     layout: Layout
     rendering: Rendering
     samples: int
-    exact: bool  # It equals the result of `make_scene`.
+    exact: bool  # The picture equals the result of `make_scene`.
     capture: Capture
     codes: CodeMap
     depth: DepthMap

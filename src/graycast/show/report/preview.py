@@ -39,7 +39,7 @@ SHEET_WIDTH_PX = 2400
 COLUMNS = 4
 _MARGIN_PX, _GAP_PX, _HEAD_PX = 30, 18, 96
 _ABOVE_PX = 36  # The title of a tile has this space.
-_BELOW_PX = (14, 52, 84)  # Below the rows are nothing, colour bars and a legend.
+_BELOW_PX = (14, 52, 84)  # The space below the rows holds nothing, colour bars or a legend.
 _COARSE_RANK = 2  # The third Gray bit of an axis has a few wide stripes.
 _CLOSE_UP = 4  # In the close-up, a camera pixel has this size, to avoid moire.
 

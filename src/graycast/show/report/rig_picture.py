@@ -21,7 +21,7 @@ from ...rig.pair import Rig, depth_per_line_m
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
 _BORDER_POINTS = 33  # Distorted borders are curved, so each side has this many points.
 _DEPTHS = 61
-_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # Words have the last size, beyond the plots.
+_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # The last width is for words beside the plots.
 
 
 def footprint_m(

@@ -45,7 +45,7 @@ def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, 
     return {
         "name": evaluation.run.name,
         "kind": judgement.kind,
-        # It is rounded down, so that the detection with this score still counts on the page.
+        # The score is rounded down, so that the detection with this score still counts on the page.
         "score": 0.5 if np.isnan(point.score) else float(np.floor(point.score * 100) / 100),
         "told": evaluation_summary(evaluation).splitlines(),
         "scenes": rows,

@@ -63,7 +63,7 @@ def add_command(
     words = " ".join(f"{help} {more}".split())
     line = f"{command.prog} {example}".rstrip()
     command.description = f"For example:\n  {line}\n\n{words}"
-    rest = command.add_argument_group("about errors")  # printed below the options
+    rest = command.add_argument_group("about errors")  # This group is printed below the options.
     rest.add_argument("--debug", action="store_true", help=_DEBUG)
     command.set_defaults(run=run, when_stopped=when_stopped)
     return command

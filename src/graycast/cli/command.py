@@ -117,8 +117,8 @@ def _in_groups(commands: argparse._SubParsersAction) -> dict[str, str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; return 0 (success), 1 (failure) or 130 (Ctrl-C); exit with 2 if misused."""
     options = _parser().parse_args(arguments)
-    if arguments is None:  # in its own process
-        signal.signal(signal.SIGTERM, _stop)  # sent by batch systems in place of Ctrl-C
+    if arguments is None:  # The command runs in its own process.
+        signal.signal(signal.SIGTERM, _stop)  # Batch systems send this in place of Ctrl-C.
         # A command that has done its work must not fail because the terminal cannot show a name.
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _note_lack_of_cache() -> None:
     """Print a note if compiled code cannot be kept for the next command."""
-    kernels = sys.modules.get("graycast.base.kernels")  # loading it takes a while
+    kernels = sys.modules.get("graycast.base.kernels")  # Loading it takes a while.
     problem = None if kernels is None else kernels.uncached_note()
     if problem is not None:
         print(
@@ -157,7 +157,7 @@ def _nobody_reads() -> bool:
     output.register(sys.stdout.fileno(), 0)
     if not any(event & select.POLLERR for _, event in output.poll(0)):
         return False
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # The flush at exit needs it.
     return True
 
 

@@ -237,7 +237,7 @@ def _stats(options: argparse.Namespace) -> int:
             raise GraycastError("--licence applies only with --card: add it, or remove --licence")
         from ..dataset.card import spdx
 
-        spdx(options.licence)  # before the dataset is read
+        spdx(options.licence)  # Check this before reading the dataset.
     with open_bars() as bars:
         statistics = dataset_statistics(options.dataset, workers=options.workers, progress=bars)
     Console(width=None).print(statistics_table(statistics))

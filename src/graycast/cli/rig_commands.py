@@ -247,7 +247,7 @@ def _patterns(options: argparse.Namespace) -> None:
 
     scanner = resolve_rig_option(options)
     spec = scanner.named_code()
-    # the settings of the rig's own code apply only to that code
+    # The settings of the rig's own code apply only to that code.
     if options.codec not in (None, spec.codec):
         spec = CodeSpec(codec=options.codec, axes=spec.axes)
     if options.inverses:

@@ -159,7 +159,7 @@ def _preview(options: argparse.Namespace) -> int:
     print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
     if note := depth_note(shot, scanner):
         print(f"note: {note}")
-    draw_preview(shot, scanner.light_code(), options.out)  # last, so that Ctrl-C leaves no file
+    draw_preview(shot, scanner.light_code(), options.out)  # Draw last: Ctrl-C leaves no file.
     print(options.out)
     return 0
 
@@ -231,7 +231,7 @@ def _generate(options: argparse.Namespace) -> int:
             on_result=report,
             on_failed=failed,
         )
-    # A card may already have the figures of all these scenes; a stopped run leaves one of fewer.
+    # A card may already count all these scenes; after a stopped run, it counts fewer.
     if summary.written or not counts_all_scenes(options.out):
         write_card(options.out)
     _tell(summary, options.out)

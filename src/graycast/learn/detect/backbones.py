@@ -15,7 +15,7 @@ from .network import Network
 
 BACKBONES = ("mobilenet-v3-small", "mobilenet-v2", "resnet18", "resnet50", "darknet53")
 # The statistics of a norm move by this share in each step. Torchvision's 0.01 in MobileNetV3 is for
-# a million steps; after some hundred, the statistics would still be those of the first weights.
+# a million steps; after some hundred steps, the first weights would still dominate.
 NORM_MOMENTUM = 0.1
 
 

@@ -321,7 +321,7 @@ def autocast(device: torch.device):
 
     On a processor that only emulates bfloat16, mixed precision would be slower than float32.
     """
-    # Older releases of torch do not report it.
+    # Older releases of torch do not report the CPU's capabilities.
     can: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
     fast = device.type == "cuda" or can.get("avx512_bf16") or can.get("amx_bf16")
     return torch.autocast(device.type, torch.bfloat16, enabled=bool(fast))

@@ -80,7 +80,7 @@ class MaskRcnn(Network):
     def losses(
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
-        # Their mode chooses between losses and results alone: they have no norms and no dropout.
+        # Train mode only selects losses instead of results, as there are no norms and no dropout.
         self.rpn.train(), self.heads.train()
         images, maps = self._maps(image)
         annotations = [_torchvision_target(target) for target in targets]

@@ -26,7 +26,7 @@ from .network import Network, NetworkOutput, Recipe, Target
 GRIDS = (40, 36, 24, 16, 12)
 RANGES = ((0, 3 / 32), (3 / 64, 3 / 16), (3 / 32, 3 / 8), (3 / 16, 3 / 4), (3 / 8, inf))
 LEAST_SIDE_PX = 1.0
-# A mask of fewer map pixels than this is noise, level by level.
+# On each level, a mask with fewer map pixels than this is noise.
 LEAST_AREA = (8, 8, 16, 32, 32)
 MASK_STRIDE = 4
 HEADS = {"darknet53": (512, 4, 256), "resnet50": (512, 4, 256), "resnet18": (256, 2, 128)}
@@ -128,7 +128,7 @@ class Solov2(Network):
         most: int,
         least_score: float,
     ) -> NetworkOutput:
-        # Scores are only lowered from here on, so lower ones are dropped at once.
+        # Scores only fall from here on, so scores below the limit are dropped at once.
         score = _peaks(score.sigmoid())
         best, place = score.flatten().topk(min(max(500, 2 * most), score.numel()))
         place, best = place[best >= max(least_score, 1e-6)], best[best >= max(least_score, 1e-6)]

@@ -128,7 +128,7 @@ def train(
     """
     device = choose_device(spec.device)
     spec = spec if network is None else replace(spec, model=network.__name__)
-    train_sets, val_sets = (  # Exports are already divided.
+    train_sets, val_sets = (  # Exports are already split into sets.
         [sets_of(Path(folder), split, spec.split)[0][0] for folder in datasets]
         for split in ("train", "val")
     )
@@ -234,7 +234,7 @@ class _Training:
         self.network = detector.network
         recipe, count = self.network.recipe, sum(map(len, sets))
         self.batch = min(spec.batch or recipe.batch, count)
-        self.steps = count // self.batch  # per epoch
+        self.steps = count // self.batch  # steps per epoch
         self.rate = spec.learning_rate or recipe.learning_rate
         self.optimizer = _optimizer(self.network, self.rate, recipe.weight_decay)
         self.progress = run.resume(self.network, self.optimizer)

@@ -21,7 +21,7 @@ from .network import Network, NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
 # These widths and heights are in pixels of a picture of 416 x 416, from the coarsest scale to the
-# finest. They are the paper's, clustered from COCO, and grow and shrink with the picture.
+# finest. The paper clustered them from COCO, and they scale with the picture.
 ANCHORS_416_PX = (
     ((116, 90), (156, 198), (373, 326)),
     ((30, 61), (62, 45), (59, 119)),

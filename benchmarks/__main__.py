@@ -433,7 +433,7 @@ def run_compare(args: argparse.Namespace) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        return 130  # the other tree and its process have ended
+        return 130  # By now, the other tree and its process have ended.
     show("")
     rows = summarise(records)
     print(table(rows))

@@ -28,10 +28,10 @@ from .figures import Figures, Show
 
 SCENES, SIZE_PX = 5, (172, 130)
 EACH = 3  # parts of each material in a scene
-FIRST_FACTOR = 8  # the first takes this many times the second's samples
-FEWER_SEED = 10_000  # far from the seeds of the scenes
+FIRST_FACTOR = 8  # The first rendering takes this many times the samples of the second.
+FEWER_SEED = 10_000  # This seed is far from the seeds of the scenes.
 BOX = "bin"  # the class of pixels without a part
-LIT_SHARE = 0.02  # of the 99th percentile: enough light for a ratio
+LIT_SHARE = 0.02  # A ratio needs this share of the 99th percentile of light.
 RATIO_EDGES = np.linspace(0.8, 1.2, 81)
 COLUMN_EDGES = np.linspace(-1.0, 1.0, 81)
 

@@ -100,7 +100,7 @@ def _with_material(scene: Scene, material: Material) -> Scene:
 
 def _pictures(renderer: Renderer, scene: Scene, layout: Layout, patterns: np.ndarray) -> Pictures:
     quality = Quality(samples=SAMPLES)
-    renderer.render(scene, layout, patterns, quality=quality, seed=99)  # builds and compiles
+    renderer.render(scene, layout, patterns, quality=quality, seed=99)  # This compiles the kernel.
     white, seconds = [], []
     for seed in SEEDS:
         start = time.process_time()

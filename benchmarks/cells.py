@@ -45,7 +45,7 @@ def opened(*patterns_per_render: int) -> Iterator[tuple[Renderer, ...]]:
         DeviceError: Cycles is not installed.
     """
     with ExitStack() as stack:
-        # Cycles is first: if it is missing, the error comes without a wait.
+        # Cycles opens first, so that the error comes at once if it is missing.
         cycles = [
             stack.enter_context(open_renderer("cycles", patterns_per_render=number))
             for number in patterns_per_render

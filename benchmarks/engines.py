@@ -23,7 +23,7 @@ from graycast.cell.generate import depth_step_mm
 from .figures import Figures, Show
 from .stages import PARTS, cell_of
 
-SCENES = 6  # in each round
+SCENES = 6  # number of scenes in each round
 ROUNDS = 3
 
 

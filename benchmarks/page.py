@@ -34,7 +34,7 @@ from .zoo_parts import ZOO, wavy_ring, zoo_part
 
 DROPS, SEEDS = (30, 100, 180, 255), range(1, 6)
 PAPER = ("metal_workpiece_1", "toothpaste")
-SCENES, PAPER_SCENES = 8, 3  # after a first run that compiles
+SCENES, PAPER_SCENES = 8, 3  # timed after a first run that compiles
 DENSE_FACES = (80_000, 330_000, 500_000)
 MOST_HULLS = 8  # rows of the table of hulls
 ROOT = Path(__file__).resolve().parents[1]

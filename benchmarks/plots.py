@@ -18,7 +18,7 @@ COLOR = {"mitsuba": ACCENT, "cycles": SECOND, "cycles3": "#e0a458"}
 STYLE = {"none": "o-", "oidn": "s--", "optix": "^:"}
 CLASS_COLOR = {"diffuse": ACCENT, "metal": INK, "plastic": SECOND, "bin": "#b08d57"}
 
-SUBS = (1, 2, 5)  # of a decade of a logarithmic axis
+SUBS = (1, 2, 5)  # minor ticks in a decade of a logarithmic axis
 
 
 def draw(figures: Figures, path: Path) -> None:

@@ -29,7 +29,7 @@ from graycast.world.parts.symmetry import joined, motions, shape_symmetry
 
 from .figures import Figures, Show
 
-MIN_VISIBILITY, SEED = 0.7, 0  # of the instances in the sample
+MIN_VISIBILITY, SEED = 0.7, 0  # limit and seed for the instances in the sample
 NEAR_DEG, NEAR_MM = 5.0, 3.0
 BOXES = {"box": 1.0, "box +20%": 1.2, "box -20%": 0.8}  # factors of the sides about the middle
 CASES = (
@@ -40,7 +40,7 @@ CASES = (
 DETECTED = (("scanner", "detected mask"), ("scanner", "detected box"))  # with a detector
 LEAST_IOU = 0.5  # between the box of an instance and of its detection
 SHEET, COLUMNS, TILE_PX = 24, 6, 220  # instances on a sheet of overlays
-OUTLINE_M = 0.004  # drawn where depth changes by more from pixel to pixel
+OUTLINE_M = 0.004  # An outline is drawn if depth changes by more between pixels.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,7 +154,7 @@ def _subject(folder: Path, detector: Any | None) -> _Subject:
 
 
 def _opened(run: Path) -> Any:
-    from graycast.learn.detect import load_detector  # which needs torch
+    from graycast.learn.detect import load_detector  # This import needs torch.
 
     return load_detector(run)
 
@@ -360,7 +360,7 @@ def _outline(
     )
     vertices = transform_points(T_cam_part, mesh.vertices_m.astype(np.float64))
     z = np.nan_to_num(rasterize(vertices, mesh.faces, fine).over(fine)[1], nan=10.0)
-    bend = np.zeros(z.shape, bool)  # at steps and creases, but not on a steep plane
+    bend = np.zeros(z.shape, bool)  # true at steps and creases, but not on a steep plane
     bend[1:-1] |= np.abs(np.diff(z, n=2, axis=0)) > OUTLINE_M
     bend[:, 1:-1] |= np.abs(np.diff(z, n=2, axis=1)) > OUTLINE_M
     big[bend] = (61, 220, 132) if trial.near else (255, 77, 77)

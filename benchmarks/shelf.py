@@ -27,7 +27,7 @@ from graycast.show.report.rig_picture import common_field
 from graycast.show.report.shelf_list import stored_noise_m
 
 SCOPE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
-READOUT_S = 0.01  # of a frame, as in the design study
+READOUT_S = 0.01  # time to read a frame, as in the design study
 START, END = "<!-- by python -m benchmarks shelf -->", "<!-- end -->"
 HEAD = (
     "scanner", "range [m]", "points", "field near / middle / far [mm]", "stated field; here [mm]",

@@ -21,7 +21,7 @@ SAMPLES = (1, 2, 4, 16, 64)
 SIZE_PX = (160, 120)
 DISTANCE_M, HALF_M = 0.75, 0.4
 WITHIN = 0.6827  # the share of normal errors within one sigma
-GROSS = 5.0  # in sigmas
+GROSS = 5.0  # A gross error is more than this many sigmas.
 WHITE = Material(base_color=(0.8, 0.8, 0.8), specular=0.0)
 
 

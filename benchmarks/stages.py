@@ -26,10 +26,10 @@ Group = Callable[[Path, int], Iterator[Job]]
 
 BRACKET = "metal_workpiece_1"
 DROPS = ((30, 8), (100, 3), (180, 1), (255, 1))  # parts, drops in a round
-PARTS = 30  # in the picture
+PARTS = 30  # number of parts in the picture
 SAMPLES = 16
 WHITE_SAMPLES = 4  # at 16 samples one frame would take as long as a stack
-SCENES = 3  # in the validated dataset
+SCENES = 3  # number of scenes in the validated dataset
 
 
 def imports(work: Path, number: int) -> Iterator[Job]:
@@ -63,7 +63,7 @@ def drops(work: Path, number: int) -> Iterator[Job]:
 
     several(1, range(1))  # reads the hulls, or makes them once
     for parts, each in DROPS:
-        # Other seeds in each round: a drop may take twice as long as that of the next seed.
+        # Each round has other seeds, as a drop may take twice as long as with the next seed.
         seeds = range(1 + number * each, 1 + (number + 1) * each)
         yield "drop", f"drop, {each} x {parts} parts", 1, partial(several, parts, seeds)
 

@@ -42,7 +42,7 @@ def main(samples: int) -> None:
     cell = graycast.load_cell(config)
     projector = cell.scanner.rig.projector
     code = own_code(projector.width_px, projector.height_px)
-    # The sensor is a noisier one than the rig's. A dataset of this cell says both in its manifests.
+    # This sensor is noisier than the rig's; manifests of a dataset record it and the code.
     sensor = replace(cell.scanner.sensor, read_noise_e=6.0)
     cell = cell.with_own(code=code, sensor=sensor)
 

@@ -20,7 +20,7 @@ def main(folder: Path) -> None:
     for example in examples:
         depth_m, true_m, masks = example.scanner_depth_m, example.depth_m, example.mask
         obj_id, instance, visible = example.obj_id, example.instance, example.visib_fract
-        # What a dataset may lack is None. One that Graycast generated has all of it.
+        # Fields that a dataset lacks are None; a dataset that Graycast generated lacks none.
         assert depth_m is not None and true_m is not None and masks is not None
         assert obj_id is not None and instance is not None and visible is not None
         for i, mask in enumerate(masks):

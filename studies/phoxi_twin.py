@@ -144,8 +144,8 @@ def configuration(meshes: Path, shapes: int) -> dict:
         "bin": {
             "mesh": str(REAL / "bin.obj"),
             "unit": "m",
-            # So dark and smooth that depth is lost on steep walls, as at 40 to 90 % of their pixels
-            # in the scans: a detector learns whether a hole means a part's edge or a wall.
+            # This is so dark and smooth that steep walls lose depth, like 40 to 90 % of their
+            # pixels in the scans: a detector learns whether a hole means a part's edge or a wall.
             "material": {"base_color": [0.02, 0.02, 0.022], "roughness": 0.4},
         },
         "exposure": {"factors": [1.0, 6.0]},

@@ -19,12 +19,12 @@ from PIL import Image, ImageDraw, ImageFont
 from graycast.world.parts.builtin import SALT_BOX_MM, TOOTHPASTE_MM
 
 Real = float | int
-Box = tuple[Real, Real, Real, Real]  # They are left, top, right, bottom as fractions of a panel.
-Colour = tuple[int, int, int]  # It is 8-bit sRGB.
+Box = tuple[Real, Real, Real, Real]  # left, top, right, bottom as fractions of a panel
+Colour = tuple[int, int, int]  # 8-bit sRGB
 
 _BLEED_PX = 3  # Each panel's border is repeated outwards, so that filtering picks up no neighbour.
 
-SPRAY_WRAP_MM = (177.0, 128.0)  # Girth and height are the body's; the label goes once round it.
+SPRAY_WRAP_MM = (177.0, 128.0)  # girth and height of the body, around which the label goes once
 LABELS = Path(__file__).resolve().parents[1] / "src/graycast/world/parts/labels"
 
 

@@ -37,7 +37,7 @@ from graycast.real.twin.stage import LitScene, light_scenes, missing_places
 from .phoxi_twin import REAL
 
 FITTED, ASIDE = (0, 1, 2), (3, 4)
-OFF = 0.0  # the value that turns each of these off
+OFF = 0.0  # This value turns each of these parameters off.
 KNOBS = (
     "projector.falloff",
     "speckle_contrast",

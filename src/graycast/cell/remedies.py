@@ -11,9 +11,7 @@ from ..camera.scanner import Scanner, measure, take
 from .metering import metered_region
 from .simulate import Shot, on_part
 
-LEAST_GAIN = (
-    0.005  # A change must give this share more of the parts' pixels depth; our choice.
-)
+LEAST_GAIN = 0.005  # A change must give this share more of the parts' pixels depth; our choice.
 MORE_WRONG = 0.005  # A change may raise the share of wrong depths by this much; our choice.
 
 

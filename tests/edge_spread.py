@@ -10,7 +10,7 @@ from graycast.rendering import Quality
 from graycast.world.scene import EMPTY_LAYOUT, Quad
 
 ROWS = 24
-NEAR_BY = (1e-4, 0.0, 0.0)  # a baseline without shadows and with next to no parallax
+NEAR_BY = (1e-4, 0.0, 0.0)  # a baseline without shadows and with almost no parallax
 HALF_M = 0.5
 BLUR_M = 20e-3  # pupils that blur by pixels
 

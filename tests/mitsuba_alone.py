@@ -113,7 +113,7 @@ def _shapes(scene, layout):
 
 def _bsdf(material):
     color = {"type": "rgb", "value": list(material.base_color)}
-    if material.metallic:  # the renderer's own BSDF, but not its transport; coated_diffuse as well
+    if material.metallic:  # This and coated_diffuse use the renderer's BSDF, not its transport.
         return {"type": "rough_conductor", "alpha": material.roughness**2, "reflectance": color}
     if material.specular == 0:
         return {"type": "diffuse", "reflectance": color}

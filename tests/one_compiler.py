@@ -24,7 +24,7 @@ def one_compiler_a_kernel(folder: Path) -> Iterator[None]:
         if not name.startswith("graycast.") or name in locked:
             return compile_one(kernel, signature)
         with open(folder / name, "w") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)  # until it is closed
+            fcntl.flock(file, fcntl.LOCK_EX)  # The lock lasts until the file is closed.
             locked.add(name)
             try:
                 return compile_one(kernel, signature)

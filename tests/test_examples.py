@@ -149,7 +149,7 @@ def test_pictures_of_a_wall_become_its_cloud(tmp_path):
     save_scanner(scanner, tmp_path / "rig.yaml")
     run("08_decode_own_pictures.py", tmp_path)
     z_m = trimesh.load(tmp_path / "out/cloud.ply").vertices[:, 2]
-    column_m = WALL_M**2 / (160 * 0.1)  # of depth, per projector column
+    column_m = WALL_M**2 / (160 * 0.1)  # depth per projector column
     assert len(z_m) > 5000 and abs(np.median(z_m) - WALL_M) < 0.1 * column_m  # its staircase
 
 

@@ -57,7 +57,7 @@ FORBIDDEN = {
 # The docstrings of rooms with one purpose name few files or none.
 WHOLE_LINE = {"cell.simulate", "cell.generate", "show.report", "show.live", "cli"}
 MITSUBA = {"rendering", "cli.doctor"}
-# The truth is the renderer's, so the dataset takes its values, but no back end.
+# The truth comes from the renderer, so the dataset imports its values but no back end.
 ONLY_VALUES = {"dataset": {"rendering": {"rendering", "rendering.radiance"}}}
 
 

@@ -64,7 +64,7 @@ OTHERS = re.findall(r"^```python\n(.*?)^```$", ELSEWHERE, re.DOTALL | re.MULTILI
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")  # Those of the other libraries are not ours.
+@pytest.mark.filterwarnings("ignore")  # Warnings of other libraries do not count.
 @pytest.mark.parametrize("library", ["open3d", "trimesh", "torch", "supervision", "rerun"])
 def test_another_library_accepts_the_values(tmp_path, monkeypatch, library):
     """Each block of the page runs where its library is installed."""

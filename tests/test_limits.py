@@ -38,7 +38,7 @@ MOST_LINES = 77_850
 MOST_WORDS = 45_300
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
-# What is larger than that, with its size. A run's last arguments say whom it tells of its steps.
+# These exceptions are larger, with their sizes. A run's last arguments receive its progress.
 LONG_FILES: dict[str, int] = {}
 LONG_FUNCTIONS: dict[str, int] = {}
 MANY_ARGUMENTS = {

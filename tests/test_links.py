@@ -20,7 +20,7 @@ CODE = re.compile(r"(`+)(?!`).+?(?<!`)\1(?!`)", re.DOTALL)
 LINK = re.compile(
     r"\]\(\s*<?([^)\s>]+)>?(?:\s+\"[^\"]*\")?\s*\)|^ *\[[^\]]+\]:\s+(\S+)", re.MULTILINE
 )
-# What comments, errors, help texts and settings say of the pages.
+# This finds mentions of pages in comments, errors, help texts and settings.
 MENTION = re.compile(r"(?<![\w./-])docs/[\w/-]+\.md(?:#[\w.-]+)?")
 FOREIGN = {"docs/bop_datasets_format.md"}  # It is a page of the BOP toolkit.
 

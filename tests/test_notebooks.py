@@ -49,7 +49,7 @@ def check_stack(text):
     assert len(shares) == 9 and sum(map(float, shares)) == pytest.approx(100, abs=0.5)
 
 
-# How many pictures each one shows, and what it must print.
+# The number of pictures that each notebook shows, and the check of its text.
 EXPECTED = {
     "decode_a_stack": (3, check_stack),
     "own_part_to_detector": (2, check_detector),
@@ -78,7 +78,7 @@ def test_every_notebook_is_stored_as_it_ran_and_is_small():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")  # Those of Jupyter are not ours.
+@pytest.mark.filterwarnings("ignore")  # Jupyter's warnings do not count.
 @pytest.mark.parametrize("name", EXPECTED)
 def test_a_notebook_runs(tmp_path, name):
     """Beside a copy of the examples' data, where it may write."""

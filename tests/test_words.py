@@ -11,8 +11,8 @@ from parsed import nodes_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# The names that still have a word of another thing, and how often each is defined: keys of files,
-# and outcomes that files name. A number here only becomes smaller.
+# Names that still use a word with another meaning (keys of files, and outcomes in files), and how
+# often each is defined. These numbers may only decrease.
 REMAINING = {
     "COLLISION_SEEN": 1,
     "COLLISION_UNSEEN": 1,

@@ -20,7 +20,7 @@ from graycast.base import argument_check
 from graycast.base.argument_check import checked
 from graycast.base.settings import check_fields
 
-NOTHING = object()  # no annotation accepts it
+NOTHING = object()  # No annotation accepts this value.
 
 # Classes that only the library makes: their arrays are checked in the functions that use them.
 RESULTS = {

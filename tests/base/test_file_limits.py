@@ -33,7 +33,7 @@ from graycast.real.picture_pairs import RealPicture, read_shot
 from graycast.world.parts.material_section import read_texture
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "graycast"
-SIDE = 12_000  # for a picture that is too large
+SIDE = 12_000  # side of a picture that is too large [px]
 # Messages between our own processes, which no user writes.
 OWN_CHILDREN = {
     "world/drop/decomposition/hull_process.py",

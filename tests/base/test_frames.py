@@ -108,7 +108,7 @@ def test_the_pose_of_a_camera_aims_at_its_target_with_the_y_axis_down():
     in_cam = transform_points(inverse(T_world_cam), target[None])[0]
     assert np.allclose(in_cam, [0, 0, distance], atol=1e-14)
     assert T_world_cam[2, 1] < 0  # the image's y axis points down in the world
-    assert abs(T_world_cam[2, 0]) < 1e-15  # and its x axis is horizontal
+    assert abs(T_world_cam[2, 0]) < 1e-15  # The image's x axis is horizontal.
 
 
 def test_a_camera_whose_view_is_parallel_to_its_down_direction_is_refused():

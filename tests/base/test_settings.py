@@ -116,7 +116,7 @@ def test_settings_read_from_a_file_can_be_pickled():
     config = load_config(CONFIGS / "demo.yaml")
     assert pickle.loads(pickle.dumps(config)) == config
     lens = Lens(width_px=4)
-    assert pickle.loads(pickle.dumps(lens)) == lens  # the infinity of its focus is another object
+    assert pickle.loads(pickle.dumps(lens)) == lens  # Its focus has another infinity object.
     for section in (OpticsModel, RigModel, StackSection):
         assert pickle.loads(pickle.dumps(section)) is section
 

@@ -39,7 +39,7 @@ def test_a_plane_without_a_bend_keeps_its_sigma(noise_sigmas):
 def test_sigma_at_a_fold_increases_by_a_quarter_of_the_bend(turn):
     """The bend is the change of the slope within a pixel, only at the fold."""
     x, _ = grid()
-    change = 4e-3  # of inverse depth per pixel [1/m]
+    change = 4e-3  # change of inverse depth per pixel [1/m]
     inverse = 0.7 + change * np.abs(x - 20)
     fold = map_of(np.ascontiguousarray(inverse.T) if turn else inverse)
     sigma_m = with_bends(fold).sigma_m
@@ -69,7 +69,7 @@ def test_errors_at_pixels_that_a_step_crosses_agree_with_sigma():
 
 def test_sigma_is_unchanged_next_to_a_hole_and_at_the_picture_s_border():
     x, _ = grid()
-    inverse = 0.7 + 4e-3 * np.abs(x - 0.5)  # it folds between the first two columns
+    inverse = 0.7 + 4e-3 * np.abs(x - 0.5)  # The surface folds between the first two columns.
     inverse[:, 2] = np.nan
     holed = map_of(inverse)
     np.testing.assert_array_equal(with_bends(holed).sigma_m, holed.sigma_m)

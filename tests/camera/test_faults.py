@@ -87,7 +87,7 @@ def test_raster_errors_along_a_line_have_similar_sizes():
     size = np.abs(share) - np.abs(share).mean()
     lines, columns = (size[1:] * size[:-1]).mean(), (size[:, 1:] * size[:, :-1]).mean()
     assert lines > 5 * abs(columns)
-    assert abs((share[1:] * share[:-1]).mean()) < 0.02  # their signs do not correlate
+    assert abs((share[1:] * share[:-1]).mean()) < 0.02  # The signs of neighbours do not correlate.
 
 
 def test_half_the_light_contrast_halves_the_raster_error():

@@ -139,7 +139,7 @@ def test_plain_gray_code_fails_at_the_pixels_that_radiosity_predicts(shots):
     known = np.isfinite(measured) & np.isfinite(predicted)
     assert wrong(predicted) > 0.25
     agree = (np.abs(measured[known]) > 2) == (np.abs(predicted[known]) > 2)
-    assert agree.mean() > 0.9  # the others are at the borders of failing areas
+    assert agree.mean() > 0.9  # Other pixels are at the borders of failing areas.
 
 
 @pytest.mark.slow

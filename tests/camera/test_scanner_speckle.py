@@ -74,7 +74,7 @@ def test_an_uneven_finish_gives_noise_longer_tails_and_no_more_power(scanner, li
     """
     n, u = 8, 0.3
     monkeypatch.setattr(scanner_module, "PATCH_M", 0.002)  # with many patches, their law is exact
-    # A deep well, whose photons make little noise.
+    # In a deep well, photons make little noise.
     deep = replace(scanner.sensor, full_well_e=1e6, gain_dn_per_e=0.06, bit_depth=16)
     weak = {"speckle_contrast": 0.25}  # weak, so that a dark pixel is not moved farther
     power_m2, kurtosis = {}, {}
@@ -103,7 +103,7 @@ def test_black_is_noisier_than_white_only_because_of_speckle(scanner, light):
     led = {r: np.nanstd(errors(lamp, light[r])[0]) for r in light}
     assert led[0.03] == pytest.approx(led[0.7], rel=0.05)
     speckle = {r: np.sqrt(laser[r] ** 2 - led[r] ** 2) for r in light}
-    # By `speckle.material_contrast` sqrt(1 + 5 * 1.4 / 0.51) / sqrt(1 + 5 * 0.06) = 3.37.
+    # `speckle.material_contrast` gives sqrt(1 + 5 * 1.4 / 0.51) / sqrt(1 + 5 * 0.06) = 3.37.
     assert speckle[0.03] / speckle[0.7] == pytest.approx(3.37, rel=0.15)
 
 

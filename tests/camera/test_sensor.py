@@ -327,7 +327,7 @@ def test_three_exposures_cover_a_scene_of_2000_to_1():
     for k, level in enumerate(CONTRAST):
         means_e = {t: t * float(level) * 10 for t in (0.2, 2.0, 30.0)}
         if any(abs(mu - allowed_e) < 6 * math.sqrt(mu) for mu in means_e.values()):
-            continue  # its own noise decides there
+            continue  # Noise alone decides here.
         best_s = max(t for t, mu in means_e.items() if mu < allowed_e)
         mean_e = means_e[best_s]
         assert (merged.exposure_s[:, k] == np.float32(best_s)).all()

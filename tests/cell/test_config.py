@@ -88,7 +88,7 @@ def test_every_configuration_in_the_repository_can_be_resolved(path):
         else:
             assert scanner.rig.name == load_scanner(path.parent / one["rig"]).rig.name
     size = "bin: The bin is 370 x 270 x 140 mm inside, and its floor is 10.0 mm above the table."
-    # There are no other notes on their meshes.
+    # Meshes cause no other notes.
     assert cell.notes == ((size,) if "mesh" in written.get("bin", {}) else ())
 
 
@@ -108,7 +108,7 @@ def test_each_key_in_a_repository_configuration_is_read_with_its_value(path):
     """Each key in a file of ours has the same value in the configuration."""
     config = load_config(path).model_dump(mode="json", exclude_unset=True)
     written = yaml.safe_load(path.read_text(encoding="utf-8"))
-    for lamp in written.get("light", {}).get("lamps", ()):  # a value, which has all its keys
+    for lamp in written.get("light", {}).get("lamps", ()):  # A value has all its keys.
         lamp.update({"target_m": [0, 0, 0], "size_m": 0.3} | lamp)
     assert as_json(config) == as_json(written)
 
@@ -454,7 +454,7 @@ def test_every_misspelt_setting_is_refused(tmp_path):
             wrong = key[:-2] + key[-1] + key[-2] if key[-1] != key[-2] else key + "x"
             if wrong in section["properties"]:
                 continue
-            meant = "views?" if (name, key) == ("", "views") else key  # view is as similar
+            meant = "views?" if (name, key) == ("", "views") else key  # `view` is equally similar
             path = tmp_path / "bad.yaml"
             path.write_text(yaml.safe_dump(_placed(name, {wrong: 1})))
             hint = rf"unknown key \S*{wrong}: did you mean {meant}\?"

@@ -281,13 +281,13 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_reported(
         failing(patch, {1: (KeyboardInterrupt(), 1)})
         with pytest.raises(KeyboardInterrupt):
             run(cell, out, scenes=3)
-    assert not (out / "set_aside.json").exists()  # it is no longer given up
+    assert not (out / "set_aside.json").exists()  # The scene is no longer given up.
     with monkeypatch.context() as patch:
         failing(patch, {1: (DropError("no rest"), 1), 3: (KeyboardInterrupt(), 1)})
         with pytest.raises(KeyboardInterrupt):
             run(cell, out, scenes=4)
     assert json.loads((out / "set_aside.json").read_text()) == {"000001": recorded}
-    run(cell, out, scenes=1)  # does not try it
+    run(cell, out, scenes=1)  # This run does not try the scene.
     assert json.loads((out / "set_aside.json").read_text()) == {"000001": recorded}
     summary, count, ids = run(cell, out, scenes=3)
     assert (summary.set_aside, count, ids) == ((), 2, [1])
@@ -316,7 +316,7 @@ def test_a_run_without_a_finished_scene_stops_early_with_the_reason(cell, tmp_pa
         generate(
             cell, tmp_path / "out", scenes=100, seed=0, device="cpu", on_failed=failures.append
         )
-    assert len(failures) == 2  # the third is raised
+    assert len(failures) == 2  # The third failure is raised.
     assert {entry.name for entry in (tmp_path / "out").iterdir()} <= {".lock"}
 
 

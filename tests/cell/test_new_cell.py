@@ -54,7 +54,7 @@ def test_a_new_cell_file_is_read_with_the_values_that_were_written(tmp_path, mon
     assert cell.scanner.exposure.auto == (surface == "steel")  # a metal needs a wide bracket
     assert len(part.symmetry.discrete) == 3
     assert cell.scene.bin.inner_m == (0.3, 0.22, 0.11) and cell.notes == ()
-    # A third of the blocks that fill half of the bin's volume, which is more than the limit of 60.
+    # The limit is a third of the blocks that fill half of the bin's volume, as this is below 60.
     least, most = config.count
     full = 0.5 * 0.3 * 0.22 * 0.11 / (0.02 * 0.03 * 0.06)
     assert most == round(round(full) / 3) and least == most // 2

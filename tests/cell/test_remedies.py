@@ -74,7 +74,7 @@ def test_a_wrong_depth_exceeds_two_limits_and_only_parts_are_counted():
         camera=preset("like-phoxi-m", "small").rig.camera,
     )
     part = np.array([[True] * 6 + [False]])
-    # The third (1.1 mm, 5.5 sigma) and the fifth (9 sigma) are wrong; the last is no part.
+    # The third (1.1 mm, 5.5 sigma) and fifth (9 sigma) depths are wrong; the last shows no part.
     shares = depth_shares(depth, true_m, part)
     assert shares.depth == pytest.approx(5 / 6)
     assert shares.wrong == pytest.approx(2 / 5)

@@ -72,8 +72,8 @@ def test_depths_in_all_images_of_a_scene_agree(shots):
             inside = ((px >= 1) & (px < [w - 1, h - 1])).all(axis=1)
             depth = other.sample.truth.depth_m[px[inside, 1], px[inside, 0]]
             gap = depth - point_cam[inside, 2]
-            assert (gap < 2e-3).mean() > 0.95  # one pixel aside on slopes; edges of parts
-            assert (np.abs(gap) < 2e-3).mean() > 0.75  # all others are hidden
+            assert (gap < 2e-3).mean() > 0.95  # Others: slopes one pixel aside, and edges of parts.
+            assert (np.abs(gap) < 2e-3).mean() > 0.75  # The other pixels are hidden.
 
 
 def test_a_mounted_scanner_s_images_are_taken_from_its_pose_on_the_first_scanner(shots):

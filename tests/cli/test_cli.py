@@ -172,7 +172,7 @@ def test_help_explains_every_option(capsys, monkeypatch, name):
     lines = "\n".join(rest).splitlines()
     for option in OPTIONS[name].split():
         starts = [i for i, line in enumerate(lines) if re.match(rf"  {option}\b", line)]
-        if not starts and not option.startswith("-"):  # explained by its choices
+        if not starts and not option.startswith("-"):  # Its choices explain it.
             starts = [i for i, line in enumerate(lines) if line.startswith("  {")]
         assert starts, f"{option} is not in the help"
         # The text is two blanks after the option, or on the next line, indented further.
@@ -485,9 +485,9 @@ def test_parts_lists_the_built_in_parts_or_those_of_a_configuration(capsys, cell
     assert "toothpaste" not in own
     scene = load_cell(cell_and_dataset[0]).scene
     assert f"\nwith {scene.rig.name}, {framing_line(scene)}\n" in own
-    # Its diagonal is 78.1 mm, and one hull is the box itself.
+    # The box's diagonal is 78.1 mm, and one hull is the box itself.
     assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own
-    # It has the three half rotations of a box, and states none of them.
+    # The box has three half rotations, and the mesh states none of them.
     assert own.count("note: ") == 1 and "note: box states no symmetry" in own
 
 

@@ -225,7 +225,7 @@ def test_measure_reads_results_of_decode_and_compare_shows_them_next_to_others(
     shutil.copy(out / "depth.npy", maps)
     fresh = run(capsys, "real", "compare", folder, maps, "--intrinsics", K)
     row = next(line for line in fresh.splitlines() if line.strip().startswith("median depth"))
-    assert len(set(row.split()[2:])) == 2  # a value and its unit: both sets have the same
+    assert len(set(row.split()[2:])) == 2  # Both sets have the same value and unit.
 
 
 @pytest.mark.parametrize(

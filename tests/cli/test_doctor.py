@@ -13,7 +13,7 @@ from graycast.cli.doctor import Finding, describe, examine
 from graycast.rendering.device import CudaState
 from graycast.rendering.trial import Trial
 
-# The picture that it renders in a child takes seconds and is tested in test_device.py.
+# The doctor's picture, rendered in a child, takes seconds and is tested in test_device.py.
 PROGRAM = """
 import json, sys
 from graycast.cli import doctor

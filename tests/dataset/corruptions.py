@@ -251,7 +251,7 @@ def reseal(out):
     path.write_text(json.dumps(record))
 
 
-# Noticed without sums, too: the words of the check that does.
+# Each of these is noticed even without sums, by the check with these words.
 KNOWN = {
     "scanner depth 3 px to the right": (picture("depth_sl", moved(0, 3)), "depth_sl and reason_sl"),
     "scanner depth mirrored": (picture("depth_sl", np.fliplr), "depth_sl and reason_sl disagree"),
@@ -309,7 +309,7 @@ KNOWN = {
     "a part that no file knows": (hidden_part, "the scene has 5"),
 }
 
-# Noticed by the sums alone.
+# Only the sums show these changes.
 SUMS_ALONE = {
     "scanner depth 1 mm deeper": picture("depth_sl", further(1.0)),
     "scanner depth 1 mm nearer": picture("depth_sl", further(-1.0)),

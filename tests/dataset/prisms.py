@@ -16,7 +16,7 @@ from graycast.world.scene import Layout, Scene
 
 WIDTH, HEIGHT = 160, 120
 SEED, CONFIG = 7, {"rig": "test", "bin": {"size_m": [0.4, 0.3]}}  # of the dataset
-SCALE_MM = 0.02  # of the datasets' depth pictures
+SCALE_MM = 0.02  # step of the datasets' depth pictures
 K = np.array([[212.0, 0.0, 78.3], [0.0, 214.0, 61.7], [0.0, 0.0, 1.0]])
 WALL = (np.array([0.1, -0.2, 1.0]), 0.62)  # n . p = d, camera frame
 

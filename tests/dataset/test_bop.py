@@ -75,7 +75,7 @@ def test_model_points_are_projected_as_the_world_places_them(scene, dataset, sam
         t = np.linalg.solve(sample.scene.T_world_cam[:3, :3], (world_m - origin(sample)).T)
         expected = project(sample.scene.rig.camera, t.T)
         assert np.abs((s[:2] / s[2]).T - expected).max() < 1e-5
-        # The same with cam_R_w2c.
+        # cam_R_w2c must give the same points.
         R_w2c = np.array(view["cam_R_w2c"]).reshape(3, 3)
         w2c = R_w2c @ (1000 * world_m.T) + np.array(view["cam_t_w2c"]).reshape(3, 1)
         assert np.abs(w2c - 1000 * t).max() < 1e-5

@@ -255,7 +255,7 @@ def test_poses_are_scored_in_their_own_image(dataset_and_samples, tmp_path):
             example.hidden(Protocol().min_visibility),
             strict=True,
         )
-        if not hidden  # as many poses count as there are instances to detect
+        if not hidden  # Each instance to detect has one pose that counts.
     ]
     assert {one.im_id for one in estimates} == {0, 1}
     exchanged = [replace(one, im_id=1 - one.im_id) for one in estimates]

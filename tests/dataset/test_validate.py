@@ -355,7 +355,7 @@ def test_a_valid_dataset_has_no_problems(dataset):
     assert validate(dataset) == ()
 
 
-# One in three in the quick tests; all of them take eight seconds.
+# The quick tests have one in five; all of them take eight seconds.
 @pytest.mark.parametrize(
     "damage", [slow(name) if k % 5 else name for k, name in enumerate(SCENE_DAMAGE)]
 )

@@ -126,7 +126,7 @@ def failing_test(copy: Path, tests: list[str], *, slow: bool = False) -> str | N
         capture_output=True,
         text=True,
     )
-    if run.returncode in (0, 5):  # 5: they are all slow
+    if run.returncode in (0, 5):  # 5 means that all tests are slow.
         return None
     match = re.search(r"^(?:FAILED|ERROR) (\S+)", run.stdout, re.MULTILINE)
     if run.returncode > 2 or match is None:

@@ -14,7 +14,7 @@ from graycast.world.scene import Layout, Scene
 # A pixel is 0.5 mm wide at 0.5 m.
 CAMERA = Optics(width_px=160, height_px=120, fx_px=1000.0, fy_px=1000.0, cx_px=79.5, cy_px=59.5)
 NOISE_M = 1e-4
-ROUNDS: Rounds = ((1, 3, 6e-4), (2, 3, 3e-4))  # those of a rescan
+ROUNDS: Rounds = ((1, 3, 6e-4), (2, 3, 3e-4))  # the rounds of a rescan
 CENTRE_M, RADIUS_M = np.array([0.0, 0.0, 0.58]), 0.08
 TILTED = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
 

@@ -104,7 +104,7 @@ def test_a_mirror_lights_a_wall_like_a_mirror_image_of_the_projector(mitsuba_ren
     assert np.sqrt(np.square(off).mean()) < 1.3, "pixels are off by more than their noise"
     outer = binary_erosion(mirrored == 0, iterations=3)[CLEAR]
     assert np.abs(light[CLEAR][outer]).max() < 0.03 * mirrored.max()
-    # The levels in the caustic's light are those of the mirror image's columns.
+    # The caustic's light has the levels of the mirror image's columns.
     (wall_alone,) = lit_walls(mitsuba_renderer, pattern=ramp(RIG), seeds=[0])
     ramped = np.mean([run.pattern[0] for run in runs], axis=0) - wall_alone.pattern[0]
     column = 255 * (ramped[inner] / light[inner] - level[inner] / mirrored[inner])
@@ -215,7 +215,7 @@ def test_camera_and_projector_paths_together_agree_with_brute_force(
     alone = pictures(mitsuba_renderer, scene, samples=4096, seeds=range(100, 108))
     whole = z_of(both.sum(axis=(2, 3)), alone.sum(axis=(2, 3)))
     assert np.abs(whole).max() < 4, whole
-    # A misplaced caustic would be tens; its noise has longer tails than a Gaussian.
+    # A misplaced caustic would give tens; the noise has longer tails than a Gaussian.
     assert np.sqrt(np.square(z_of(both, alone)).mean()) < 2.2
 
 

@@ -66,7 +66,7 @@ def children(parent):
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, ppid = stat.read_text().rpartition(")")[2].split()[:2]
-        except (OSError, ValueError):  # it ended meanwhile
+        except (OSError, ValueError):  # The process ended meanwhile.
             continue
         if int(ppid) == parent and state != "Z":
             pids.append(int(stat.parent.name))
@@ -160,7 +160,7 @@ for seed in range(10**6):
 @ON_LINUX
 def test_the_child_process_ends_if_its_parent_is_killed(open_cycles):
     """It is killed during a frame that takes a minute."""
-    open_cycles()  # or skip
+    open_cycles()  # This skips the test if Cycles is missing.
     program = PARENT.format(tests=str(Path(__file__).parents[1]))
     parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     try:

@@ -196,7 +196,7 @@ def test_a_glass_ball_loses_only_the_light_that_its_colour_absorbs(mitsuba_rende
     x = (np.arange(24)[:, None] + at).ravel() - 11.5
     y = (np.arange(18)[:, None] + at).ravel() - 8.5
     tangent2 = (x[None, :] ** 2 + y[:, None] ** 2) / 60**2
-    miss = 0.5 * np.sqrt(tangent2 / (1 + tangent2)) / 0.1  # the sine at which the ball is met
+    miss = 0.5 * np.sqrt(tangent2 / (1 + tangent2)) / 0.1  # sine of incidence on the ball
     inside = miss < 1
     sine = np.where(inside, miss, 0)
     a = color ** (0.2 * np.sqrt(1 - (sine / INDEX) ** 2) / DEPTH_M)
@@ -259,7 +259,7 @@ def test_a_ball_lens_focuses_the_projector_s_light_onto_a_wall(mitsuba_renderer)
     ball = Sphere(center_m=tuple(center), radius_m=radius_m, material=glass("solid", (color,) * 3))
     scene = in_camera(rig, wall(1.0, lambert(ALBEDO), half_m=2.0), ball)
     white = radiance(mitsuba_renderer, scene, depth=2, samples=2048).white
-    flux = white / PAPER / 200**2  # wall in a pixel
+    flux = white / PAPER / 200**2  # area of the wall in a pixel
     n = 400
     u = 0.04 * (2 * (np.arange(n) + 0.5) / n - 1)  # the projector's field at unit depth
     ray = np.stack([*(axis.ravel() for axis in np.meshgrid(u, u)), np.ones(n * n)], axis=-1)

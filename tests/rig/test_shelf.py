@@ -263,7 +263,7 @@ def test_the_measured_noise_is_similar_to_the_maker_s_value():
             here_m = np.interp(claim.at_m, own.z_m, own.noise_m)
             assert 1 / 3 < here_m / claim.value_m < 3, name
         assert own.z_m == tuple(sorted(own.z_m))
-        assert own.noise_m == tuple(sorted(own.noise_m))  # it grows with the distance
+        assert own.noise_m == tuple(sorted(own.noise_m))  # Noise grows with the distance.
 
 
 @EVERY

@@ -34,7 +34,7 @@ def test_pixels_outside_the_projector_of_a_parallel_rig_follow_a_closed_form():
     beside = beside_projector(rig)
     assert 0.3 < never.mean() < 0.9
     assert not (beside & ~never).any()
-    assert (never & ~beside).mean() < 0.02  # rays through a corner
+    assert (never & ~beside).mean() < 0.02  # Some rays pass through a corner.
 
 
 @pytest.mark.slow

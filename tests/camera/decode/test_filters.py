@@ -14,7 +14,7 @@ from graycast.camera.decode.reasons import Reason
 from graycast.rig.optics import Optics, rays
 from graycast.rig.pair import preset_rig
 
-# A narrow field, so that a plane's angle of incidence is nearly its tilt: 0.36 mm a pixel at 0.8 m.
+# In a narrow field (0.36 mm a pixel at 0.8 m), a plane's angle of incidence is nearly its tilt.
 CAMERA = Optics(width_px=240, height_px=200, fx_px=2250.0, fy_px=2250.0, cx_px=119.5, cy_px=99.5)
 RIG = replace(preset_rig("paper"), camera=CAMERA)
 SHAPE = (200, 240)
@@ -326,7 +326,7 @@ def test_the_kernel_sets_variance_and_correlation_of_smoothed_white_noise(tilt_d
     smooth = filter_depth(depth_map(z_m, seed=7), FilterSpec(smoothing_px=smoothing_px), RIG)
     inside = (slice(6, -6), slice(6, -6))
     error = (smooth.depth_m - z_m)[inside]
-    independent = error.size * (kernel**2).sum()  # fewer than pixels, by the kernel's area
+    independent = error.size * (kernel**2).sum()  # independent errors, by the kernel's area
     assert abs(error.mean()) < 4 * SIGMA_M / math.sqrt(error.size)
     assert abs(error.var() / SIGMA_M**2 / share - 1) < 4 * math.sqrt(2 / independent)
     pairs = error[:, 1:] * error[:, :-1]

@@ -245,7 +245,7 @@ def test_two_doubtful_coarse_bits_contradict_but_one_bit_at_its_own_edge_does_no
     assert one_pixel(code, at=127, change=doubt(7)) is Reason.DECODED
     assert one_pixel(code, at=127, change=doubt(7, 3)) is Reason.CONTRADICTORY
     assert one_pixel(code, at=127, change=doubt(4, 7)) is Reason.CONTRADICTORY
-    assert one_pixel(code, at=127, change=doubt(7, 2, 1, 0)) is Reason.DECODED  # fine ones pass
+    assert one_pixel(code, at=127, change=doubt(7, 2, 1, 0)) is Reason.DECODED  # Fine bits pass.
     assert one_pixel(code, at=127, change=one_of_each) is Reason.DECODED  # one edge per axis
     strict = DecodeSpec(fine_bits=0)
     assert one_pixel(code, at=127, change=doubt(1, 0), spec=strict) is Reason.CONTRADICTORY
@@ -379,7 +379,7 @@ def test_strong_interreflection_is_contradictory_at_pixels_whose_coarse_bits_dif
     codes = decode(frames_of(mirrored(code, u, ratio=1.0)), code, USUAL, LEVELS)
     assert clash.sum() > 400
     assert (codes.reason[clash] == Reason.INTERREFLECTION).all()
-    # Pixels that are decoded nevertheless are right.
+    # Pixels that are still decoded are correct.
     known = (codes.reason == Reason.DECODED) & inner
     assert known.sum() > 20
     assert np.array_equal(codes.column[known], u[known])
@@ -520,7 +520,7 @@ def test_a_pixel_at_the_border_is_never_decoded_to_the_opposite_border(name):
     off_px = np.abs(codes.column - u)
     assert np.nanmax(off_px) < 3
     inside = (u > 0.75) & (u < last - 0.75)
-    least = 0.9 if name != "combined" else 0.85  # in doubt next to an edge of the base bit
+    least = 0.9 if name != "combined" else 0.85  # The base bit's edges cause doubts.
     assert (codes.reason[inside] == Reason.DECODED).mean() > least
     beyond = (u < -1.8) | (u > last + 1.8)
     assert not (codes.reason[beyond] == Reason.DECODED).any()

@@ -46,7 +46,7 @@ def test_neighbours_settle_uncertain_periods_and_hardly_ever_wrongly(
     codes = decode(frames, code, SPEC, LEVELS)
     known = codes.reason == Reason.DECODED
     settled = codes.mark & Mark.SETTLED > 0
-    assert (known & ~settled).mean() < alone  # pixels decoded before
+    assert (known & ~settled).mean() < alone  # Other pixels were already decoded.
     assert known.mean() > together
     assert wrong(codes, name).mean() < 6e-4
 

@@ -10,7 +10,7 @@ from graycast.camera.decode.visibility import without_hidden
 
 F_PX, BASELINE_M, WALL_M, BLOCK_M = 300.0, 0.2, 0.9, 0.8
 LEFT, RIGHT = 60, 100  # columns of the block
-GAP_PX = F_PX * BASELINE_M * (1 / BLOCK_M - 1 / WALL_M)  # of its shadow: f b (1 / z1 - 1 / z2)
+GAP_PX = F_PX * BASELINE_M * (1 / BLOCK_M - 1 / WALL_M)  # its shadow's width: f b (1 / z1 - 1 / z2)
 
 
 def rig_of(side):

@@ -12,7 +12,7 @@ from graycast.camera.stack import decode_stack
 from graycast.rig.pair import PRESETS, Rig
 
 PRESET_FILTERS = tuple({preset(name).filters: name for name in PRESETS})  # each value once
-_REACH_PX = 2  # from the presets' smoothing
+_REACH_PX = 2  # reach of the presets' smoothing
 
 
 def check_depth_of_no_filters(path: Path, rig: Rig, plain: DepthMap, filters: FilterSpec) -> None:

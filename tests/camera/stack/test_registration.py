@@ -66,7 +66,7 @@ def test_two_unrelated_pictures_give_no_shift(other):
 
 def test_registration_does_not_change_its_arguments():
     """OpenCV's phase correlation multiplies its arguments by a window, in place."""
-    size = (96, 128)  # pictures of other sizes are copied there
+    size = (96, 128)  # Pictures of other sizes are copied into this size.
     whole = np.ones(size, dtype=bool)
     first = prepare(scene(0, 0, size=size), whole)
     second = prepare(scene(0, 0, seed=7, size=size), whole)

@@ -25,7 +25,7 @@ WIDE = replace(
         axis_rotation("y", -0.25) @ axis_rotation("x", 0.05), np.array([0.2, 0.0, 0.02])
     ),
 )
-# Its baseline runs down, and the edges are those on the left and on the right.
+# The baseline runs down, and the camera sees the left and the right edge.
 TALL = replace(small_rig(vertical=True), camera=lens(160, 120, 130.0))
 
 

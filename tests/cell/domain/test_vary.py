@@ -208,7 +208,7 @@ def test_moving_the_bin_moves_the_rest_of_the_world_in_the_opposite_direction():
             np.array([still.center_m, still.target_m]), abs=1e-12
         )
         assert replace(lamp, center_m=still.center_m, target_m=still.target_m) == still
-    # A map's feature at angle a of the world is at a + rotation of the cell, its former place.
+    # A map's feature at angle a in the world is at a + rotation in the cell, its former place.
     assert varied.environment.rotation_rad + turn == pytest.approx(0.4, abs=1e-12)
     assert varied.bin == scene.bin
 

@@ -70,7 +70,7 @@ def test_a_scene_beyond_a_worker_s_memory_causes_one_warning_with_a_remedy(monke
     logger.addHandler(handler)
     pool = LocalPool(HeavyJob(seed=0, device="cpu"), workers=4, threads=1)
     try:
-        # Memory that a process collects over many scenes ends with it, and one of 3 GB fits.
+        # Memory that a process gathers over many scenes ends with it; a process of 3 GB fits.
         gigabyte = 10**9
         cases = [(3, 1, False), (5, 9, True), (5, 1, True), (5, 1, True)]
         for gigabytes, scenes, ends in cases:
@@ -127,7 +127,7 @@ def test_ctrl_c_does_not_reach_the_first_worker_of_a_program():
         "worker = _Worker(None, 1, {})\n"
         "worker._start()\n"
         "print(open(f'/proc/{worker._process.pid}/status').read())\n"
-        "worker._process.kill()"  # It would first import everything, and then stop.
+        "worker._process.kill()"  # The process would import everything before it stops.
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     (blocked,) = [line for line in run.stdout.splitlines() if line.startswith("SigBlk")]
@@ -139,7 +139,7 @@ def test_killing_a_worker_that_is_sending_its_scene_does_not_block_the_run():
     pool, outcomes = LocalPool(HeavyJob(seed=0, device="cpu"), workers=1, threads=1), []
     try:
         pool.submit(0)
-        assert wait([pool._workers[0].connection], timeout=60)  # it has begun to write, and waits
+        assert wait([pool._workers[0].connection], timeout=60)  # The worker is writing and waits.
         os.kill(pool._workers[0]._process.pid, signal.SIGKILL)
         listener = threading.Thread(target=lambda: outcomes.append(pool.gather()), daemon=True)
         listener.start()
@@ -184,7 +184,7 @@ def test_a_worker_that_exceeds_its_share_of_memory_is_replaced_between_scenes(ta
         try:
             for scene_id in range(3):
                 pool.submit(scene_id)
-                # By number, because a process that was just forked does not have its name yet.
+                # Record ids, because a process that was just forked does not have its name yet.
                 child_pids += [child.pid for child in multiprocessing.active_children()]
                 assert isinstance(pool.gather(), TaskResult)
         finally:
@@ -264,7 +264,7 @@ def test_killing_workers_or_runs_does_not_change_the_dataset(config_file, undist
             before = finished(out)
         _, complaint = run.communicate()
     finally:
-        if run.poll() is None:  # It would continue, and its open pipes would fail the next test.
+        if run.poll() is None:  # The run would continue, and its open pipes would fail a test.
             os.killpg(run.pid, signal.SIGKILL)
             run.communicate()
     assert (run.returncode, complaint) == (0, "")

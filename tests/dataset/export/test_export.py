@@ -17,7 +17,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:Depreca
 
 SEED = next(
     seed
-    for seed in range(100)  # of one that gives four scenes to three sets
+    for seed in range(100)  # a seed that gives four scenes to three sets
     if len({Split(shares=(0.5, 0.25, 0.25), seed=seed).place(i) for i in (0, 3, 4, 5)}) == 3
 )
 

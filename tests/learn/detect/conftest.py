@@ -8,7 +8,7 @@ import pytest
 @pytest.fixture(autouse=True)
 def one_thread_of_torch():
     """Denormals are flushed in these tests alone: SciPy's k-d tree does not end without them."""
-    torch = sys.modules.get("torch")  # tests of encodings do without
+    torch = sys.modules.get("torch")  # Tests of encodings need no torch.
     if torch is None:
         yield
         return

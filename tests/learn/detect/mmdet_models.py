@@ -14,7 +14,7 @@ YOLOV3 = {
         "neck": [512, 256, 128],
         "head": [1024, 512, 256],
     },
-    # Published with a leaky activation; torchvision's weights are of ReLU6, mmdetection's default.
+    # Published with a leaky activation; torchvision's weights need ReLU6, mmdetection's default.
     "mobilenet-v2": {
         "backbone": {"type": "MobileNetV2", "out_indices": (2, 4, 6)},
         "inside": [320, 96, 32],
@@ -138,7 +138,7 @@ def solov2(backbone, *, classes, side, least, most):
     }
 
 
-# What begins so with us, and the same parts, in the same order, with mmdetection.
+# Our prefixes, and mmdetection's prefixes of the same parts in the same order.
 PARTS = {
     "yolov3": {
         "body.": ["backbone."],

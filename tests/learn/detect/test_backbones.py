@@ -19,7 +19,7 @@ PUBLISHED = {
     "resnet18": torchvision.models.resnet18,
     "resnet50": torchvision.models.resnet50,
 }
-# Where torchvision's own classifier has the same maps.
+# These nodes of torchvision's own classifier have the same maps.
 NODES = {
     "mobilenet-v3-small": ["features.1", "features.3", "features.8", "features.12"],
     "mobilenet-v2": ["features.3", "features.6", "features.13", "features.17"],

@@ -13,11 +13,11 @@ from graycast.learn.detect.detector import About, Detector, _detections
 from graycast.learn.detect.encoding import Encoding
 from graycast.learn.detect.network import NetworkOutput
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
-@pytest.mark.parametrize("times", [1, 2])  # beyond, corners are rounded
+@pytest.mark.parametrize("times", [1, 2])  # Larger factors round the corners.
 def test_boxes_and_outlines_are_as_many_times_as_large_as_the_picture_is(times):
     """An input of 40 x 30 pixels of a picture so many times as large; edges lie between pixels."""
     mask = torch.zeros(2, 30, 40, dtype=torch.uint8)
@@ -61,7 +61,7 @@ def test_a_note_counts_the_drawings_whose_detections_all_have_too_low_a_score(
     monkeypatch.setattr(Detector, "detect", lambda *_, **__: one_detection(next(remaining)))
     encoding = Encoding(input="rgb", size_px=(32, 32))
     about = About(model="", backbone=None, encoding=encoding, names=("a",), trained={})
-    detector = Detector.__new__(Detector)  # It needs no network.
+    detector = Detector.__new__(Detector)  # This test needs no network.
     object.__setattr__(detector, "about", about)
     rgb = np.zeros((8, 8, 3), np.uint8)
     pictures = PictureSelection(

@@ -15,7 +15,7 @@ from graycast.learn.detect.networks import MODELS, network_class
 
 from .shapes import CLASSES, ap50, shape_pictures
 
-# The smallest of each; `None` where it has but one.
+# The smallest backbone of each detector; `None` if it has only one.
 BACKBONES = {
     "mask-rcnn": "mobilenet-v3-small",
     "yolov3": "mobilenet-v3-small",
@@ -168,7 +168,7 @@ def test_an_ignored_instance_is_neither_a_positive_nor_a_negative(model):
     """Its class does not matter, and the network is not penalised in its area. Therefore the
     loss is at most that without its label, and the terms of positives are the same."""
     network = opened(model).eval()
-    if model == "solov2":  # fresh, it is so sure of nothing that single precision hides the law
+    if model == "solov2":  # Untrained, it scores so low that single precision hides the law.
         torch.nn.init.zeros_(network.judges[-1].bias)
     images, (first, _) = pictures()
     assert len(first.label) == 3
@@ -186,7 +186,7 @@ def test_an_ignored_instance_is_neither_a_positive_nor_a_negative(model):
     for name in values[0]:
         ignored, relabelled, unlabelled, _ = (float(v[name].detach()) for v in values)
         assert ignored == relabelled
-        if model != "mask-rcnn":  # it draws a sample of what it learns from
+        if model != "mask-rcnn":  # Mask R-CNN draws a random sample to learn from.
             assert ignored <= unlabelled + 1e-6 * abs(unlabelled)
             if name in ("box", "centre", "size", "mask", "overlap"):
                 assert ignored == pytest.approx(unlabelled, rel=1e-6)

@@ -29,7 +29,7 @@ def detector(model):
     return Detector(about=about, network=network, device=torch.device("cpu"))
 
 
-# A process of its own: checks of types at every call would be traced with the network.
+# This runs in its own process, as type checks at every call would be traced with the network.
 CHECK = """
 import json, sys, numpy, onnx, onnxruntime, torch
 sys.path.insert(0, sys.argv[1])

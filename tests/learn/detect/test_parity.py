@@ -18,7 +18,7 @@ from . import mmdet_models
 
 HERE = Path(__file__).parent
 ENVIRONMENT = HERE.parents[2] / "out" / "mmdet-3.3.0"
-# Beside what the running environment has. numpy 2 lacks names that mmdetection uses.
+# These are added to the running environment. numpy 2 lacks names that mmdetection uses.
 PACKAGES = (
     "mmdet==3.3.0",
     "mmcv-lite==2.2.0",
@@ -36,7 +36,7 @@ PACKAGES = (
 HEIGHT_PX, WIDTH_PX, CLASSES = 128, 160, 2
 LEAST_SCORE, MOST = 0.02, 60
 NETWORKS = {"yolov3": Yolov3, "solov2": Solov2}
-# Their names of the terms of the loss.
+# mmdetection's names for the terms of the loss
 TERMS = {
     "yolov3": {
         "centre": "loss_xy",
@@ -169,7 +169,7 @@ def test_each_term_of_the_loss_is_that_of_mmdetection(model, backbone, answers):
     ]
     with torch.no_grad():
         ours = network.losses(case["image"], targets)
-    pictures = len(targets) if model == "yolov3" else 1  # they add them up, we take the mean
+    pictures = len(targets) if model == "yolov3" else 1  # mmdetection adds them; we take the mean.
     assert set(ours) == set(TERMS[model])
     for name, value in ours.items():
         assert float(value) == pytest.approx(
@@ -193,4 +193,4 @@ def test_detections_are_those_of_mmdetection(model, backbone, answers):
             torch.testing.assert_close(ours.box, edges, rtol=1e-4, atol=1e-3)
         else:
             unlike = (ours.mask > 127) != theirs["masks"]
-            assert unlike.float().mean() < 1e-5  # pixels that are at one half but for rounding
+            assert unlike.float().mean() < 1e-5  # Rounding decides pixels at one half.

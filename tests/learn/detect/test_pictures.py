@@ -20,7 +20,7 @@ from graycast.learn.detect.training_pictures import (
     collate,
 )
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 SIZE = (96, 128)
@@ -81,7 +81,7 @@ def test_picture_mask_and_box_move_together(tmp_path):
         np.testing.assert_allclose(box, extent_px, atol=1.01)
         assert (target.mask[0].numpy() ^ risen).sum() <= 0.06 * risen.sum() + 8
         corners.add((round(float(box[0])), round(float(box[1]))))
-    assert len(corners) > 15  # it did move
+    assert len(corners) > 15  # The box moved between the pictures.
 
 
 def test_without_augmentation_a_picture_is_the_encoded_one(tmp_path):

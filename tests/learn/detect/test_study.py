@@ -27,7 +27,7 @@ from graycast.score.evaluate import labels_of, score
 from graycast.score.evaluate.intervals import BootstrapFigure, mean
 from graycast.score.evaluate.labels import run_lengths_of
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 STUDY = {

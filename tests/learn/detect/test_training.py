@@ -37,7 +37,7 @@ from graycast.learn.detect.training import _settings, _shape
 from graycast.learn.detect.training_pictures import NO_AUGMENTATION, Augmentation, room_for
 from graycast.score.evaluate import labels_of, score
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 SMALL = TrainSpec(
@@ -535,7 +535,7 @@ def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
     scene = dataset / "train" / "000000"
     scale_m = json.loads((scene / "scene_camera_sl.json").read_bytes())["0"]["depth_scale"] / 1e3
     steps = cv2.imread(str(scene / "depth_sl" / "000000.png"), cv2.IMREAD_UNCHANGED)
-    noise = np.random.default_rng(0).normal(0.0, 1e-3 / scale_m, steps.shape)  # it is drawn flat
+    noise = np.random.default_rng(0).normal(0.0, 1e-3 / scale_m, steps.shape)  # The drawing is flat
     steps = np.where(steps > 0, steps + noise, 0).astype(np.uint16)
 
     def find(scale_m):

@@ -35,7 +35,7 @@ def test_yolov7_has_the_loss_of_libreyolo():
 def test_yolov7_finds_the_boxes_of_libreyolo():
     network = settled(opened("yolov7"))
     torch.manual_seed(4)
-    for end in network.network.layers[-1].heads:  # fresh ones score everything low
+    for end in network.network.layers[-1].heads:  # Untrained heads score everything low.
         torch.nn.init.normal_(end.head_conv.weight, std=0.1)
         torch.nn.init.uniform_(end.head_conv.bias, -1, 1)
     images, _ = pictures()
@@ -56,7 +56,7 @@ def test_yolov7_finds_the_boxes_of_libreyolo():
         assert theirs["num_detections"] >= 5
         assert len(ours.score) == theirs["num_detections"]
         torch.testing.assert_close(ours.score, torch.tensor(theirs["scores"]))
-        # Equal scores stand in any order: each row of one is a row of the other.
+        # Equal scores have no fixed order, so each row must occur in the other result.
         bare = [torch.tensor(theirs[name]) for name in ("boxes", "classes", "scores")]
         rows = [
             torch.cat([box, label[:, None], score[:, None]], dim=1)

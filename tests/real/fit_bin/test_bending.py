@@ -32,7 +32,7 @@ from .empty_bins import noisy, perfect_depth, pose
 CAMERA = Optics(width_px=400, height_px=300, fx_px=330.0, fy_px=330.0, cx_px=199.5, cy_px=149.5)
 BOX = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
 STRAIGHT = Mesh(vertices_m=bin_mesh(BOX).vertices_m, faces=bin_mesh(BOX).faces)
-# Above the wall -x, so that the wall +x is not seen at a grazing angle.
+# The camera is above the wall -x, so that the wall +x is not seen at a grazing angle.
 T = pose(azimuth_deg=0.0, distance_m=0.6, aside_m=(-0.08, -0.02))
 # Low and high corner of blocks above the middle of the floor, much nearer than the floor.
 BLOCKS = (((-0.06, -0.05, 0.03), (0.05, 0.04, 0.06)), ((0.06, -0.02, 0.0), (0.10, 0.05, 0.05)))
@@ -126,7 +126,7 @@ def test_a_bent_bin_is_still_a_solid(scanned):
     assert bent.is_watertight
     assert bent.is_winding_consistent
     assert bent.volume == pytest.approx(solid(STRAIGHT).volume, rel=0.05)
-    # The outside of the wall moved with its inside: it bulges, too.
+    # The wall's outside moves with its inside, so it bulges, too.
     _, y, z = bent.vertices.T
     middle = (np.abs(y) < 0.02) & (np.abs(z - 0.075) < 0.02)
     assert bent.vertices[middle, 0].max() > BOX.inner_m[0] / 2 + BOX.wall_m + 3e-3

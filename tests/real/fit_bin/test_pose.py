@@ -90,7 +90,7 @@ def test_depth_behind_a_wall_counts_against_a_pose():
     grid = view(perfect_depth(T)).grid(80)
     beside = rigid(np.eye(3), np.array([0.45, 0.0, 0.0])) @ T
     true, aside = box.votes(np.stack([T, beside]), grid, 0.01) / grid.depth_m.size
-    for pose_of, score in ((T, true), (beside, aside)):  # the same, by the other ray caster
+    for pose_of, score in ((T, true), (beside, aside)):  # The other ray caster agrees.
         behind_m = grid.depth_m - box.cast(pose_of, grid)[1]
         agrees = np.maximum(1 - np.abs(behind_m) / 0.01, 0)
         assert score == pytest.approx((agrees - (behind_m > 0.01)).mean(), abs=1e-12)

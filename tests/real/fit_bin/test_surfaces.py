@@ -34,7 +34,7 @@ def test_the_floor_is_the_inner_rectangle_at_height_0_and_the_walls_are_the_rest
     corner = floor.vertices_m[floor.faces]
     assert (corner[..., 2] == 0).all()
     area = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    assert area.sum(axis=0) == pytest.approx([0, 0, 0.4 * 0.3])  # up, and the whole of it
+    assert area.sum(axis=0) == pytest.approx([0, 0, 0.4 * 0.3])  # All of it faces up.
     assert len(walls.faces) + len(floor.faces) == len(bin_mesh(box).faces)
     others = {tuple(face) for face in walls.faces.tolist()}
     assert not others & {tuple(face) for face in floor.faces.tolist()}

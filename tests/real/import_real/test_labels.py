@@ -166,7 +166,7 @@ def test_ambiguous_ids_and_names_are_refused(tmp_path, kind, entry, message):
     content[kind].append(entry | {"width": W, "height": H})
     folder = write_coco(tmp_path / "photos", content)
     assert message in refusal(folder)
-    with pytest.raises(DatasetError, match=re.escape(message)):  # and by the reader for training
+    with pytest.raises(DatasetError, match=re.escape(message)):  # as the reader for training does
         open_examples(folder / "annotations/instances.json")
 
 

@@ -30,7 +30,7 @@ def test_the_estimate_of_white_noise_is_its_sigma_at_any_brightness_percentile()
     rng = np.random.default_rng(1)
     depth_m = plane(0.4) + SIGMA_M * rng.standard_normal((240, 320))
     fine = record(depth_m).fine
-    # 1200 tiles with about 15 degrees of freedom each.
+    # There are 1200 tiles, each with about 15 degrees of freedom.
     assert fine.percentiles_m[2] == pytest.approx(SIGMA_M, rel=4 * 1.25 / np.sqrt(30 * 1200))
     assert fine.rough < 0.03
 

@@ -26,7 +26,7 @@ def test_reasons_are_counted_for_missing_pixels_only():
     depth_m[:24] = np.nan
     depth_m[24:36] = np.nan
     reason = np.zeros(depth_m.shape, dtype=np.uint8)
-    reason[:24], reason[24:36], reason[36:] = 1, 7, 2  # 2 where depth is known: is ignored
+    reason[:24], reason[24:36], reason[36:] = 1, 7, 2  # 2 is ignored where depth is known
     figures = record(scan(depth_m, reason=reason, reason_names={1: "SHADOW", 2: "SATURATED"}))
     assert figures.missing.by_reason == {"shadow": 0.1, "reason 7": 0.05}
 
@@ -77,7 +77,7 @@ def test_islands_are_counted_up_to_ten_pixels():
         depth_m[20, 10 + 30 * i : 10 + 30 * i + size] = np.nan
         depth_m[300, 10 + 30 * i : 10 + 30 * i + size] = 0.5
     depth_m[100, 100] = depth_m[101, 101] = np.nan  # one hole: corners connect
-    # These may continue beyond the border.
+    # These islands may continue beyond the border.
     depth_m[0, 5] = depth_m[60, 0] = depth_m[60, -1] = np.nan
     depth_m[-1, 5] = depth_m[400, 0] = depth_m[400, -1] = 0.5
     islands = record(scan(depth_m)).islands

@@ -127,7 +127,7 @@ def bop_scene(folder, depth_m, suffix=""):
 def test_a_dataset_of_ours_gives_all_data(tmp_path, depth_m, level):
     scene = tmp_path / "train" / "000003"
     bop_scene(scene, depth_m, "_sl")
-    bop_scene(scene, np.full((30, 40), 0.7))  # the perfect depth, which is not to be used
+    bop_scene(scene, np.full((30, 40), 0.7))  # perfect depth, which must not be used
     (scene / "scene_sl.json").write_text('{"0": {"reasons": {"DECODED": 0, "SHADOW": 1}}}')
     T = np.eye(4)
     T[:3, 3] = [0.3, 0.0, 0.4]

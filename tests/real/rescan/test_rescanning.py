@@ -354,7 +354,7 @@ def test_the_page_has_every_image_before_and_after(dataset, tmp_path):
     }
     scanner = cv2.imread(str(tmp_path / "page/images/000000-000004-3.jpg"))
     depth_m, _ = scanned(root / "out/train_pbr/000000", 4)
-    # Without depth it is black, up to what a JPEG does to single pixels.
+    # Without depth, the picture is black, apart from JPEG errors in single pixels.
     assert scanner[np.isfinite(depth_m)].mean() > 2 * scanner[np.isnan(depth_m)].mean()
 
 

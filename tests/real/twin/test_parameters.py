@@ -72,7 +72,7 @@ def test_finer_codes_are_tried_for_phases_and_none_for_a_plain_code():
     codes = candidate_codes(SCANNER.code)
     assert [code.period_px for code in codes] == [48.0, 24.0, 12.0]
     projector = SCANNER.rig.projector
-    for code in codes:  # the projector can show each of them
+    for code in codes:  # The projector can show each code.
         assert code.code(projector.width_px, projector.height_px).frames
     plain = CodeSpec(codec="gray")
     assert candidate_codes(plain) == (plain,)

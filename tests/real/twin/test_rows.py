@@ -45,11 +45,11 @@ def test_noise_common_to_rows_is_their_correlation():
 
 def test_isolated_holes_are_counted_and_wide_ones_are_not():
     z_m = plane().copy()
-    z_m[40:200:20, 40:200:20] = np.nan  # each is isolated
-    z_m[220:224, 100:140] = np.nan  # a wide one
+    z_m[40:200:20, 40:200:20] = np.nan  # These holes are isolated.
+    z_m[220:224, 100:140] = np.nan  # a wide hole
     single = 8 * 8
-    # Inner pixels that lack a neighbour are next to a hole, and those in the wide hole and around
-    # it, whose rows touch it above and below.
+    # Not counted are inner pixels that lack a neighbour: those next to a hole, in the wide hole,
+    # and in the rows and columns that touch it.
     places = 238 * 318 - 4 * single - 4 * 40 - 2 * 40 - 2 * 4
     percent = row(z_m, "missing among present neighbours")
     assert percent == pytest.approx(100 * single / places, rel=1e-9)

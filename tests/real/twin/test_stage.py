@@ -72,7 +72,7 @@ def test_another_bin_material_is_a_sum_of_two_renderings(tmp_path, mitsuba_rende
         assert twin[bright].mean() == pytest.approx(expected[bright].mean(), rel=2 * tolerance)
         parts = ~lit.is_bin
         assert np.array_equal(taken[k].white[parts], lit.radiance[scanner.code].white[parts])
-    assert min(changes[:2]) > 0.2, changes  # it matters
+    assert min(changes[:2]) > 0.2, changes  # The change matters.
     assert changes[2] > 0.05, changes
 
 

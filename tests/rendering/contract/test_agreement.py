@@ -41,7 +41,7 @@ def test_each_renderer_agrees_with_the_exact_renderer(path_tracer):
     depth = exact.truth.depth_m
     jump = np.abs(np.gradient(depth)).sum(axis=0) > 0.02
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = (maximum_filter(a[0], 3) - minimum_filter(a[0], 3)) / a[0]  # share of it
+        slope = (maximum_filter(a[0], 3) - minimum_filter(a[0], 3)) / a[0]  # relative to depth
         error = np.abs(a[0] / b[0] - 1)
     inside = ~jump & (slope < 0.3)
     assert inside.mean() > 0.7

@@ -308,7 +308,7 @@ def test_a_bin_rests_on_its_table_centred_on_the_origin(path_tracer):
 
 def test_the_inclined_walls_of_a_mesh_bin_are_rendered(path_tracer, tmp_path):
     """Seen from straight above, each ray ends at a wall, on the rim, or on the table."""
-    crate = Crate(lean=0.5, rim_m=0.03)  # it opens wider than the cone of rays
+    crate = Crate(lean=0.5, rim_m=0.03)  # The crate opens wider than the cone of rays.
     rig = make_rig(centred(120, 90, 110), centred(32, 24, 40))
     pose = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
     scene = in_camera(rig, T_world_cam=pose, bin=crate.bin(tmp_path))

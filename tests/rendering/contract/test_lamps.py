@@ -175,7 +175,7 @@ def test_a_camera_that_looks_up_sees_a_bright_spot_at_the_zenith(path_tracer, tm
     rig = make_rig(centred(16, 16, 40), centred(8, 8, 8))
     environment = Environment(radiance=(1.0, 1.0, 1.0), map_file=tmp_path / "spot.exr")
     for angle, bright in [(0.0, True), (np.pi, False), (np.pi / 2, False)]:
-        pose = rigid(axis_rotation("x", angle), np.zeros(3))  # the camera's z is up at 0
+        pose = rigid(axis_rotation("x", angle), np.zeros(3))  # At 0, the camera's z is up.
         scene = Scene(rig=rig, T_world_cam=pose, environment=environment)
         image = ambient(path_tracer, scene, samples=4)
         assert (image[8, 8] > 4.9).all() == bright

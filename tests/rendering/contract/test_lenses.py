@@ -38,7 +38,7 @@ def test_the_blur_of_an_edge_is_half_the_thin_lens_radius(path_tracer, device, z
     if path_tracer.name == "cycles":
         samples = 256
         if device == "projector":
-            psf_px = 0.0  # it has no blur that is the same at every depth
+            psf_px = 0.0  # The lens has no blur that is equal at all depths.
             if z_m == focus_m:
                 pytest.skip("a projector in focus has no blur in Cycles")
     lens = blurred(centred(96, ROWS, f_px), focus_m, psf_px=psf_px)

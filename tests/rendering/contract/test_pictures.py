@@ -77,7 +77,7 @@ def test_pictures_by_mitsuba_and_cycles_agree_to_half_a_percent(mitsuba_renderer
 
 # Allowed differences of the models: metal is one published model in both; Cycles' coat dims its
 # base by another rule, 3 % at this roughness under steep light (`test_materials_in_both.py`); the
-# walls see both. The noise is that of the few pixels that see the projector's image in the metal.
+# walls see both. The noise comes from the few pixels that see the projector in the metal.
 LIMITS = {"wall": 0.002, "metal": 0.005, "coat": 0.03}
 NOISE = {"wall": 0.001, "metal": 0.007, "coat": 0.003}
 

@@ -58,9 +58,9 @@ def test_suction_grips_of_a_box_are_a_cup_s_radius_inside_its_faces():
         assert abs(T[axis, 2]) == pytest.approx(1)
         assert T[axis, 3] * T[axis, 2] == pytest.approx(half[axis])
         others = [k for k in range(3) if k != axis]
-        # The patch's nodes are half a millimetre apart, so an edge is seen that much too late.
+        # The patch's nodes are half a millimetre apart, so an edge is noticed that much too late.
         assert all(abs(T[k, 3]) <= half[k] - CUP.radius_m + 0.5e-3 for k in others)
-    # Of uniform points, those at least this far inside remain: a share of the area.
+    # Of uniform points, this share of the area is far enough inside.
     inner = 2 * sum(
         max(SIDES_M[a] - 0.016, 0) * max(SIDES_M[b] - 0.016, 0) for a, b in ((0, 1), (0, 2), (1, 2))
     )
@@ -122,7 +122,7 @@ def test_a_heavy_part_is_gripped_near_its_centre_of_mass():
     # Tilting adds its moment, so no grip is farther away than an upright tool allows.
     reach = max(abs(T[0, 3] - center[0]) for T in top)
     assert 0.3 * tilting_m(weight_n) < reach <= tilting_m(weight_n)
-    # Law: the frame in which a part is drawn changes nothing.
+    # By law, the frame of a part changes nothing.
     R = Rotation.from_euler("xyz", [0.4, 1.2, -0.7]).as_matrix()
     turned = Mesh(vertices_m=long.vertices_m @ R.T, faces=long.faces)
     again = suction_places(
@@ -156,7 +156,7 @@ def test_the_palm_limits_the_height_of_a_part_between_the_fingers():
     places = jaw_places(
         tall, JAWS, weight_n=0.1, center_m=np.zeros(3), doubt=SURE, count=50, chances=1
     )
-    # Grips whose tool points along the part, away from its centre.
+    # These grips point along the part, away from its centre.
     upright = [g.T_part_tool for g in best_first(places) if abs(g.T_part_tool[2, 2]) > 0.99]
     above = [0.06 - T[2, 3] * np.sign(T[2, 2]) for T in upright]
     assert 0.030 < max(above) <= 0.036 + 1e-9
@@ -283,7 +283,7 @@ def test_grips_in_depth_are_as_near_to_the_mask_s_centre_as_the_weight_requires(
         np.testing.assert_allclose(T[:3, 2], normal, atol=1e-6)
         x, y = CAMERA.fx_px * T[:2, 3] / T[2, 3] + [119.5, 99.5]
         assert mask[round(y), round(x)]
-    # It is inclined by more than 45 degrees.
+    # The plate is inclined by more than 45 degrees.
     assert not search(plate_depth(0.9), 0.5, DOUBT).grips(mask, count=20)
 
 

@@ -143,7 +143,7 @@ def test_measured_depth_gives_the_seal_of_the_surface():
     a = (ray**2).sum(axis=-1)
     under_root = b**2 - a * c
     depth_m = (b - np.sqrt(np.where(under_root < 0, np.nan, under_root))) / a
-    R = axis_rotation("x", np.pi) @ axis_rotation("y", 0.2)  # looks back at the camera, but for 0.2
+    R = axis_rotation("x", np.pi) @ axis_rotation("y", 0.2)  # faces the camera, tilted by 0.2 rad
     T_cam_tool = rigid(R, center_m + radius_m * R[:, 2])
     patch = patch_of_depth(depth_m, CAMERA, T_cam_tool, radius_m=0.011, step_m=STEP_M)
     lies = seal(CUP, patch)

@@ -126,7 +126,7 @@ def test_a_plate_is_lifted_at_its_centre_and_lost_beyond_the_tilt_limit(suction)
     heap = heap_of(lying())
     centre = ended(suction, heap, on_top())
     assert centre.success
-    # The load at constant acceleration; the spring overshoots it a little at the start.
+    # This is the load at constant acceleration, which the spring slightly exceeds at the start.
     most_n = (1 + CARRIED_M_S2 / GRAVITY_M_S2) * weight_n
     assert centre.least_factor == pytest.approx(CUP.pull_n / most_n, rel=0.15)
     assert ended(suction, heap, on_top(0.6 * tilt_limit_m(most_n))).success
@@ -197,7 +197,7 @@ def test_the_lift_has_its_stated_height_and_acceleration():
     assert z[0] == 0 and z[-1] == pytest.approx(0.2, abs=2e-4)
     speed = np.diff(z) / STEP_S
     assert speed.max() == pytest.approx(0.25, rel=1e-6) and speed.min() >= 0
-    # A step in which the acceleration ends has less.
+    # A step in which the acceleration ends has a smaller change.
     assert np.abs(np.diff(speed)).max() / STEP_S <= CARRIED_M_S2 * (1 + 1e-6)
     assert (path[:, :2, 3] == 0).all()
 

@@ -86,7 +86,7 @@ def test_an_unseen_area_is_as_high_as_the_nearest_seen_one(depth):
     inside[rows.min() : rows.max(), (columns.min() + columns.max()) // 2 : columns.max() + 20] = 1
     heap = heap_of(np.where(inside, np.nan, depth))
     assert not heap.is_measured.all()
-    # Unseen cells of the block that are nearer to its seen half than to the floor count as block.
+    # Unseen cells nearer to the seen half of the block than to the floor count as block.
     guessed = ~heap.is_measured
     assert heap.height_m[guessed].max() == pytest.approx(0.04, abs=1e-3)
     assert np.isfinite(heap.height_m).all()

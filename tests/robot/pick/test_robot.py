@@ -46,7 +46,7 @@ def test_the_ur5e_agrees_with_its_maker_s_table(tmp_path):
 
 def test_a_stretched_diana_is_upright_and_looks_down(tmp_path):
     T = open_robot("diana7", folder=tmp_path).flange(np.zeros(7))
-    # Heights of the joints, one above the other; the last one is beside the arm, looking down.
+    # The heights of the joints add up; the last joint is beside the arm, looking down.
     assert T[2, 3] == pytest.approx(0.2856 + 0.4586 + 0.47702 - 0.0216 - 0.1169)
     np.testing.assert_allclose(T[:3, 2], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(T[:2, 3], [0.065 - 0.0528 - 0.0122 + 0.087, 0], atol=1e-12)

@@ -149,7 +149,7 @@ def test_no_grip_with_a_score_of_0_is_held_in_the_simulation(flanged, robots):
 
 def extruded(outline_m):
     """Return a prism over an outline, 40 mm high along z."""
-    # Metres are near the smallest length that the library distinguishes.
+    # In metres, lengths are near the smallest one that the library distinguishes.
     solid = CrossSection([1e3 * np.asarray(outline_m)]).extrude(40.0).to_mesh64()
     return trimesh.Trimesh(1e-3 * solid.vert_properties[:, :3], solid.tri_verts)
 

@@ -97,7 +97,7 @@ def test_a_tilted_tool_that_cannot_be_raised_becomes_upright_on_its_way_up(arm, 
     poses = np.stack([tip(arm, here, way.up.at(t)) for t in np.linspace(0, way.up.seconds, 40)])
     off = np.linalg.norm(poses[:, :2, 3] - grip[:2, 3], axis=1)
     assert off.max() < 0.01 and (np.diff(poses[:, 2, 3]) > -1e-4).all()  # the flange moves straight
-    assert (np.diff(poses[:, 2, 2]) > -1e-4).all()  # and the tilt decreases
+    assert (np.diff(poses[:, 2, 2]) > -1e-4).all()  # The tilt decreases.
     np.testing.assert_allclose(poses[-1][:3, 2], [0, 0, 1], atol=1e-3)
 
 

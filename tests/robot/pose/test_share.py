@@ -14,7 +14,7 @@ from graycast.score.evaluate import rotation_translation
 from graycast.world.parts.symmetry import joined, motions, shape_symmetry
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "detector"
-SCENE = 60  # none of those with which the constants were chosen
+SCENE = 60  # The constants were chosen with other scenes.
 
 
 @pytest.mark.slow

@@ -114,7 +114,7 @@ def test_the_best_is_the_one_that_measures_most_within_the_needs():
     assert [meets(needs, one) for one in rows] == [False, False, True, False]
     assert choose(needs, rows) is rows[2]
     just = spec(needs=NeedsSection(sigma_m=0.0002, seconds=0.5, feature_m=0.003))
-    assert meets(just, rows[2])  # at most
+    assert meets(just, rows[2])  # The limit itself is allowed.
 
 
 def test_the_sentence_says_what_to_buy_and_where_to_put_it():

@@ -41,7 +41,7 @@ def study(tmp_path_factory):
 
 def test_a_study_writes_tables_plots_and_a_sentence(study, capsys):
     path, out = study
-    assert run(path, out) == 0  # all is there: nothing is scanned again
+    assert run(path, out) == 0  # All results exist, so nothing is scanned again.
     printed = capsys.readouterr().out
     names = {"table.md", "table.csv", "design.json", "pareto.png", "missing.png"}
     assert names <= set(content(out))
@@ -50,7 +50,7 @@ def test_a_study_writes_tables_plots_and_a_sentence(study, capsys):
     assert (
         printed.count(record["says"]) == 1 and "of the open surface of the parts" in record["says"]
     )
-    assert "|" not in printed  # the table of Markdown is for the file
+    assert "|" not in printed  # Only the file has the Markdown table.
     assert len(record["rows"]) == 4
     for row in record["rows"]:
         lost = sum(row[name] for name in ("part_shadow", "dark", "edge", "hidden_by_parts"))
@@ -101,7 +101,7 @@ def test_a_killed_study_goes_on_and_comes_out_the_same(study, tmp_path):
         os.killpg(running.pid, signal.SIGKILL)
         running.communicate()
     assert len(list(tmp_path.glob("out/settings/*/00?.json"))) < 8
-    # Whether the kill fell into the writing of a file is chance; what it leaves there goes.
+    # The kill may happen while a file is written; this partial file must be removed.
     (tmp_path / "out/settings/0.9m_phase_one/.tmp-000.json-dead").write_bytes(b"half")
     assert run(path, tmp_path / "out") == 0
     assert content(tmp_path / "out") == content(out)

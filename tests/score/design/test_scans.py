@@ -82,6 +82,6 @@ def test_a_cube_of_the_smallest_features_side_is_seen_and_one_of_a_third_is_not(
         above_m = height_m - depth.depth_m
         raised[share] = int((above_m[truth.instance == 1] > 3 * record["sigma_m"]).sum())
         flat = above_m[truth.instance == 0]
-        assert (flat > 3 * record["sigma_m"]).mean() < 0.01  # so that what stands out is the cube
+        assert (flat > 3 * record["sigma_m"]).mean() < 0.01  # Points that stand out are the cube.
     assert raised[1.0] >= 4
     assert raised[1 / 3] <= 2

@@ -60,7 +60,7 @@ def share_of(kinds, surface, which) -> float:
 
 @pytest.mark.parametrize(
     ("rim_m", "baseline_m", "height_m"),
-    [(0.03, 0.25, 0.6), (0.08, 0.5, 0.6), (0.03, 0.5, 1.2), (0.08, 0.25, 1.2)],  # each with each
+    [(0.03, 0.25, 0.6), (0.08, 0.5, 0.6), (0.03, 0.5, 1.2), (0.08, 0.25, 1.2)],  # all combinations
 )
 def test_a_wall_throws_the_shadow_of_similar_triangles(rim_m, baseline_m, height_m):
     """Oracle: a projector at x = b, H above the plate, and a rim h high at x = l / 2 leave dark
@@ -214,7 +214,7 @@ def plate_figures(
         (0.0, Reason.DECODED, Fate.MEASURED),
         (0.0049, Reason.DECODED, Fate.MEASURED),
         (-0.0051, Reason.DECODED, Fate.WRONG),
-        (0.0, Reason.SHADOW, Fate.DARK),  # light comes there: geometry says so
+        (0.0, Reason.SHADOW, Fate.DARK),  # By geometry, light arrives there.
         (0.0, Reason.LOW_MODULATION, Fate.DARK),
         (0.0, Reason.SATURATED, Fate.GLARE),
         (0.0, Reason.CONTRADICTORY, Fate.INTERREFLECTION),

@@ -108,7 +108,7 @@ class RandomSet:
                     "score": float(detected.score[i]),
                 }
                 | (
-                    {"segmentation": detected.mask[i]}  # with a box its area would be the box's
+                    {"segmentation": detected.mask[i]}  # A box would give the box's area.
                     if kind == "mask"
                     else {"bbox": detected.box_px[i].astype(float).tolist()}
                 )

@@ -14,7 +14,7 @@ from graycast.dataset.training import open_examples
 from graycast.score.evaluate import Protocol, Task, evaluate, evaluation_json, summary
 from graycast.score.evaluate.labels import run_lengths_of
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 SCENES = (0, 3, 4, 5)

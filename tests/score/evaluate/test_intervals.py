@@ -20,7 +20,7 @@ PLACES = [(12 * (i % 5), 12 * (i // 5)) for i in range(15)]
 @pytest.mark.parametrize("seed", [1, 10, 16])
 def test_a_draw_scores_as_pycocotools_scores_the_drawn_scenes(kind, seed):
     """Return the drawn scenes as separate images; some appear several times."""
-    # Scores are of one digit, many of them equal, where the seed is even.
+    # With even seeds, scores have one digit, and many of them are equal.
     random_set = RandomSet.of_seed(seed)
     scores = score(random_set.labels, random_set.detections, kind=kind)
     rng = np.random.default_rng(4)

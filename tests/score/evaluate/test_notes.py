@@ -46,7 +46,7 @@ def test_equal_scores_that_move_ap_are_noted():
     (note,) = notes_of([*PLACES, *WRONG], [0.9, 0.8, 0.7, 0.7, 0.7, 0.6])
     assert "box: scores are equal" in note
     assert notes_of([*PLACES, *WRONG], np.linspace(0.9, 0.1, 6)) == []
-    assert notes_of(PLACES, np.ones(4)) == []  # no order of hits alone is better than another
+    assert notes_of(PLACES, np.ones(4)) == []  # All orders of hits alone are equally good.
 
 
 def test_doubled_entries_are_counted():

@@ -18,7 +18,7 @@ from graycast.score.evaluate import Protocol, evaluate_poses
 from graycast.score.evaluate.pose_recall import PictureTruth, count_picture, matched, solid_of
 from graycast.world.parts import Mesh, Symmetry
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 

@@ -46,14 +46,14 @@ def test_a_camera_over_an_edge_measures_the_two_faces_that_it_sees():
     up, left = surface.normal[:, 2] > 0.5, surface.normal[:, 0] < -0.5
     assert set(why.tolist()) == {0, HIDDEN}
     assert (why[~(up | left)] == HIDDEN).all()
-    # Of a face of 57 x 40 pixels the outer half pixel may go to the neighbour.
+    # The outer half pixel of a face of 57 x 40 pixels may belong to the neighbour.
     assert (why[up | left] == 0).mean() > 0.96
     assert len(why) == pytest.approx(6000, abs=6) and up.mean() == pytest.approx(1 / 6, abs=0.01)
 
 
 def test_a_place_in_front_of_the_picture_or_behind_something_is_no_fault_of_the_scanner():
     T = from_above(0.0, 0.0, 0.3)
-    T[0, 3] = 0.11  # beside the cube: a part of it is outside of the picture
+    T[0, 3] = 0.11  # beside the cube, a part of which is outside the picture
     plane_m = plane_depth(T, UP, 0.1, FINE)  # a sheet over the cube
     _, why = reasons(T, plane_m, plane_m)
     assert set(why.tolist()) == {HIDDEN, OUTSIDE}
@@ -68,7 +68,7 @@ def test_a_hole_has_the_scanners_reason_and_a_wrong_depth_is_marked_wrong():
     surface, why = reasons(T, depth_m, true_m, reason=5)
     up = surface.normal[:, 2] > 0.5
     x, y = surface.point_m[up, 0], surface.point_m[up, 1]
-    # A camera that looks down with its y axis along the world's -y.
+    # This camera looks down, with its y axis along the world's -y.
     inner = (
         (np.abs(surface.point_m[up]).min(axis=1) > 3e-3) & (np.abs(x) < 0.047) & (np.abs(y) < 0.047)
     )

@@ -40,7 +40,7 @@ def test_a_slanted_plane_seen_from_two_sides_comes_back_within_its_stated_sigma(
     both = cloud.views == 2
     assert both.mean() > 0.4 and not cloud.against.any()
     for group in (both, ~both):
-        # A view's normals are known to 3 degrees: aside by half a pixel, that is a third of sigma.
+        # A view's normals have an error of 3 degrees; half a pixel aside, this is a third of sigma.
         assert np.mean(off[group] ** 2) == pytest.approx(1.0, abs=0.15)
 
 
@@ -88,7 +88,7 @@ def test_a_flying_point_that_another_view_sees_through_is_rejected():
     fused = fuse(views)
     assert fused.rejected_px == (25, 0)
     assert fused.cloud.point_m[:, 2].max() < 6 * SIGMA_M
-    alone = fuse(views[:1])  # nobody else saw through them
+    alone = fuse(views[:1])  # No other view saw through them.
     assert alone.rejected_px == (0,) and (alone.cloud.point_m[:, 2] > 0.03).sum() == 25
 
 

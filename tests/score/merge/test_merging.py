@@ -100,7 +100,7 @@ def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noq
     assert [view["measured_px"] for view in figures["cloud"]["views"]] == measured
     assert max(measured) < figures["cloud"]["points"] < sum(measured)
     for group in figures["cloud"]["by_views"][:2]:
-        # Pixels are 3 mm wide: at edges planes lie askew, which no noise tells.
+        # Pixels are 3 mm wide, so planes at edges are tilted, which the noise does not show.
         assert abs(group["error_median_m"]) < 0.2 * SIGMA_M
         assert group["error_sigma_m"] == pytest.approx(group["sigma_m"], rel=0.4)
         assert group["within_3_sigma"] > 0.9
@@ -111,6 +111,6 @@ def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noq
     first = surface["views"][0]
     assert surface["scenes"] == 2
     assert surface["measured"] >= max(view["measured"] for view in surface["views"])
-    assert first["filled_by_others"]["saturated"] > 0.01  # its hole
+    assert first["filled_by_others"]["saturated"] > 0.01  # the first view's hole
     assert all("saturated" not in view["filled_by_others"] for view in surface["views"][1:])
     assert figures["cloud"]["first_reason"]["saturated"] > 0

@@ -57,7 +57,7 @@ def test_a_view_that_is_shifted_is_named_with_the_way_back(views, number, shift_
     (doubt,) = doubts(views, **{f"v{number}": T})
     assert doubt.startswith(f"view v{number} does not lie where view v")
     back = [float(x) for x in doubt.split("axes ")[1].split(")")[0].split(", ")]
-    np.testing.assert_allclose(back, -np.array(shift_mm), atol=0.4)  # what counts as off
+    np.testing.assert_allclose(back, -np.array(shift_mm), atol=0.4)  # limit of agreement
     assert "its pose is off" in doubt
 
 

@@ -48,7 +48,7 @@ def test_all_artefacts_of_a_preset_lie_in_both_fields(name):
     bars = ball_bars(rig, volume, radius_m=0.5 * radius_m)
     assert len(bars) == 7
     assert np.ptp([bar.length_m for bar in bars]) < 1e-12
-    # The pictures of the others are wider, and have room for less.
+    # The pictures of the other rigs are wider and have less room.
     least = 0.3 if name == "paper" or "phoxi" in name else 0.25
     assert bars[0].length_m > least * volume.diagonal_m
     assert all(clear(rig, bar.ends_m, bar.radius_m) for bar in bars)

@@ -24,8 +24,8 @@ NOISELESS = SensorSpec(
     full_well_e=1e9, gain_dn_per_e=6e-5, read_noise_e=0.0, bit_depth=16, dark_current_e_s=0.0
 )
 
-# Radius and distance of a cap are told apart by how much the cosine of incidence varies over it:
-# the standard deviation of a cosine that is even from cos 50 degrees, at least, to 1.
+# The spread of the cosine of incidence separates radius and distance of a cap. This is the standard
+# deviation of a cosine that is uniform from cos 50 degrees, at least, to 1.
 COSINE_SPREAD = (1 - math.cos(math.radians(50))) / math.sqrt(12)
 
 
@@ -58,7 +58,7 @@ def test_temporal_noise_is_the_standard_deviation_that_the_decoder_propagates(ce
     for plane in certificate.facing:
         assert abs(plane.noise_m / plane.sigma_m - 1) < 0.08
     near, _, far = certificate.facing
-    assert far.noise_m / near.noise_m > 2  # it grows with the square of distance at least
+    assert far.noise_m / near.noise_m > 2  # Noise grows at least with the square of distance.
 
 
 @pytest.mark.slow
@@ -221,7 +221,7 @@ def test_automatic_exposures_are_stated_as_chosen(mitsuba_renderer):
     assert conditions(lab, 0)["exposures"] == "automatic"
     fixed = replace(lab, scanner=replace(scanner, exposure=replace(exposure, auto=False)))
     assert conditions(fixed, 0)["exposures"] == [1.0, 7.0]
-    # A plane of one colour has little contrast, so that one exposure is enough for it.
+    # A plane of one colour has little contrast, so one exposure is enough.
     assert len(_exposed(mitsuba_renderer, exposure).exposures_s) == 1
 
 

@@ -340,16 +340,16 @@ def test_100_random_actions_cause_no_error_and_no_leak(page, server):
             page.click('[data-look="top"]')
             act_and_wait(page, lambda: page.click("#undo"), may_fail=True)
             memory.append(resident(pid))
-    assert server.session.pid == pid  # it was never restarted
+    assert server.session.pid == pid  # The process was never restarted.
     errors = page.evaluate("Graycast.live.errors")
     assert not [text for text in errors if "error in Graycast" in text or "was ended" in text]
     assert memory[-1] - memory[1] < 150e6, memory
     page.goto("about:blank")
     deadline = time.monotonic() + 30
     while Path(f"/proc/{pid}").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)  # the session drops it first, and then it ends
+        time.sleep(0.1)  # The session drops the process before it ends.
     assert server.session.pid is None and not Path(f"/proc/{pid}").exists()
-    page.goto(server.url)  # it returns with its settings: a picture, or the reason for none
+    page.goto(server.url)  # The page returns with its settings: a picture, or the reason for none.
     page.wait_for_function(
         "() => document.getElementById('main').dataset.shown !== undefined "
         "|| !document.getElementById('error').hidden",

@@ -197,7 +197,7 @@ def test_a_page_that_joins_while_an_answer_arrives_receives_it(server, monkeypat
         answers = newer(version)
         threads.append(threading.Thread(target=session._answered, args=(picture,)))
         threads[0].start()
-        threads[0].join(0.2)  # it ends, unless it waits for the page
+        threads[0].join(0.2)  # The thread ends, unless it waits for the page.
         return answers
 
     monkeypatch.setattr(session, "newer", newer_and_an_answer)
@@ -227,7 +227,7 @@ def test_a_killed_process_is_restarted_unless_it_finished_nothing(tmp_path):
     error = heard("error")
     assert "ended by SIGKILL: it was started again" in error["error"] and "number" not in error
     assert session.pid not in (None, first)
-    os.kill(session.pid, signal.SIGKILL)  # long before it has made anything
+    os.kill(session.pid, signal.SIGKILL)  # The process has made nothing yet.
     error = heard("error")
     assert "before it finished a picture: undo the" in error["error"]
     assert session.pid is None and error["number"] == session.number

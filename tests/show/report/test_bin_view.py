@@ -68,7 +68,7 @@ def test_without_a_visible_bin_the_whole_picture_is_shown():
     aside[0, 3] = 5.0
     assert bin_crop(replace(scene_of(BOX), T_world_cam=aside), truth_of()) == whole
     behind = ABOVE.copy()
-    behind[:3, :3] = np.eye(3)  # it looks at the sky
+    behind[:3, :3] = np.eye(3)  # The camera looks at the sky.
     assert bin_crop(replace(scene_of(BOX), T_world_cam=behind), truth_of()) == whole
 
 
@@ -77,7 +77,7 @@ def test_the_colours_of_depth_span_the_bin_and_not_the_room():
     room_m = np.full((HEIGHT, WIDTH), 5.0, dtype=np.float32)
     room = truth_of(depth_m=room_m)
     assert depth_limits_mm(scene_of(BOX), room) == pytest.approx((398.0, 502.0))
-    heap = depth_limits_mm(scene_of(BOX), part_at(140, 190, 0.3))  # it is higher than the rim
+    heap = depth_limits_mm(scene_of(BOX), part_at(140, 190, 0.3))  # The heap exceeds the rim.
     assert heap == pytest.approx((300 - 4, 500 + 4), abs=1e-3)
     low_mm, high_mm = depth_limits_mm(scene_of(None), part_at(140, 190, 0.3))
     assert (low_mm, high_mm) == pytest.approx((300 - 4, 500 + 4), abs=1e-3)

@@ -176,7 +176,7 @@ def test_every_file_for_the_browser_is_on_a_page(dataset, tmp_path):
     """The names in Python and the files in `web` are the same, so none is missing or unused."""
     write_report(dataset, tmp_path / "page")
     web = {path.name for path in (resources.files(dataset_page.__package__) / "web").iterdir()}
-    web -= {"types.d.ts"}  # which only TypeScript's checker reads
+    web -= {"types.d.ts"}  # Only TypeScript's checker reads this file.
     written = {path.name for path in (tmp_path / "page").glob("*.*")}
     assert written == web | {"index.js"}
     page = (tmp_path / "page/index.html").read_text()

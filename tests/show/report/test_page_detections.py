@@ -165,7 +165,7 @@ def test_a_higher_score_limit_shows_more_missed_parts_in_the_grid_and_in_a_scene
     page.click('.card[data-key="train-000000"] a')
     ready(page, "train-000000")
     page.select_option("#choose-foundKind", "all")
-    assert outlines(page, "hit") == 1  # only that of score 0.9
+    assert outlines(page, "hit") == 1  # only the outline with score 0.9
     assert outlines(page, "missed") == counted - 1
     move(page, "score-slider", 0)
     assert outlines(page, "missed") == 0

@@ -228,7 +228,7 @@ def test_frames_change_by_arrows_brackets_and_play(page, report_with_frames):
         page.keyboard.press(key)
         wait_for_frame(page, k)
     page.locator("#frame-slider").focus()
-    page.keyboard.press("ArrowLeft")  # the slider's own
+    page.keyboard.press("ArrowLeft")  # This key belongs to the slider.
     wait_for_frame(page, 15)
     page.keyboard.press("p")
     assert page.locator("#frame-play").get_attribute("aria-pressed") == "true"

@@ -328,7 +328,7 @@ def test_two_views_side_by_side_move_together(page, report):
     page.keyboard.press("v")
     assert page.locator("#choose-how").input_value() == "swipe"
     page.keyboard.press("9")
-    assert page.locator("#toggle-compare").count() == 0  # 3D is alone
+    assert page.locator("#toggle-compare").count() == 0  # The 3D view has no comparison.
     page.keyboard.press("1")
     page.mouse.move(*place(page, row, column))
     assert readout(page, "pixel") == f"{column}, {row}"

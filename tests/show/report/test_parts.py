@@ -117,7 +117,7 @@ def test_a_part_is_on_the_floor_and_the_camera_is_in_front_and_above():
     assert world[:, 2].min() == pytest.approx(scene.surfaces[0].center_m[2])
     eye = scene.T_world_cam[:3, 3]
     assert eye[1] < world[:, 1].min() and eye[2] > world[:, 2].max()
-    assert scene.T_world_cam[2, 1] < 0  # the picture's down is the world's
+    assert scene.T_world_cam[2, 1] < 0  # Down in the picture is down in the world.
 
 
 def test_no_parts_are_refused(tmp_path):

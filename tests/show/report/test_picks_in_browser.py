@@ -81,7 +81,7 @@ def test_the_part_moves_with_the_tool_until_its_release(page, address, picks):
     before = np.array(episode.attempts[1]["T_world_part"][0])
     opened(page, address, "bin-000000/1")
     part = "Graycast.opened().content.attempts[1].parts[0]"
-    for i in range(0, STEPS, 3):  # none is the exact time of the release
+    for i in range(0, STEPS, 3):  # No step is the exact time of the release.
         time_s = STEP_S * i
         script = f"Graycast.carried(Graycast.opened().scan.motion, {time_s + 1e-9}, {part})"
         expected = T_world_part(motion, i, before)

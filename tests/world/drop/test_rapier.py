@@ -312,8 +312,8 @@ def test_the_overlap_of_two_jammed_parts_is_measured():
     layout = simulate(BIN, (body,), start, np.zeros(2, int), simulated_s=0.03)
     gap = np.diff(layout.T_world_part[:, 0, 3])[0]
     assert gap < 0.0395  # still jammed
-    # They have rotated a little. Their extents along x overlap by the upper bound; without the
-    # rotation, the overlap would be the lower one.
+    # The parts have rotated slightly, so their extents along x overlap by the upper bound; without
+    # rotation, by the lower bound.
     extent_m = 0.02 * np.abs(layout.T_world_part[:, 0, :3]).sum()
     assert 0.04 - gap <= layout.deepest_penetration_m <= extent_m - gap + 1e-6
     assert layout.deepest_penetration_m > 0.5e-3

@@ -19,7 +19,7 @@ from studies.printed_labels import (
     toothpaste_panels,
 )
 
-part_of = cache(builtin_part)  # no test changes it
+part_of = cache(builtin_part)  # No test changes a part.
 # The outward normal of a panel, and the reader's upward direction.
 READERS = {
     "front": ((0, -1, 0), (0, 0, 1)),

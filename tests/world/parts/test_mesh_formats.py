@@ -136,7 +136,7 @@ def test_the_new_command_copies_the_texture_of_a_mesh(
     assert main(["new", "cell", "--part", "from/part.obj", "--unit", "m"]) == 0
     assert "The texture (4 x 4 px) was taken" in capsys.readouterr().out
     for file in (tmp_path / "from").rglob("*.*"):
-        file.unlink()  # The cell must not need them.
+        file.unlink()  # The cell must not need these files.
     (part,) = load_cell(tmp_path / "cell/cell.yaml").kinds
     np.testing.assert_array_equal(part.material.texture[0, 0], [255, 0, 0])
     assert part.material.base_color != (0.3, 0.3, 0.3)

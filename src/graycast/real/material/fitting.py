@@ -41,7 +41,7 @@ BINS = 12  # Pixels are drawn evenly from this many bins of half angle.
 COARSE = (0.05, 0.1, 0.175, 0.25, 0.325, 0.4, 0.475, 0.55, 0.625, 0.7, 0.775, 0.85, 0.925, 1.0)
 FINE_STEPS, FINE_SPAN = (0.025, 0.01, 0.0025), 4  # Steps of roughness, and their number
 LIKELY = 7  # This many likely values of roughness give a smooth profile.
-LEAST = 0.03  # Smaller values of roughness look alike with the normals of a scan.
+LEAST = 0.03  # Smaller values of roughness look equal with the normals of a scan.
 # Limits of the base colour. No bare metal reflects less than 0.2, as black plastic does.
 DARKEST: Mapping[Kind, float] = {"metal": 0.2, "plastic": 0.002, "scattering metal": 0.002}
 BRIGHTEST = 0.998

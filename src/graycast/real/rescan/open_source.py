@@ -42,7 +42,7 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
         ConfigError: the materials file is not valid.
     """
     options = options or SourceOptions()
-    folder = Path(os.path.abspath(path))  # A link stays: models are beside it, not its target.
+    folder = Path(os.path.abspath(path))  # A link stays: models are next to it, not its target.
     if not folder.is_dir():
         problem = "is no folder" if folder.exists() else "no such folder"
         raise DatasetError(f"{path}: {problem}: give a split such as lm/train_pbr")

@@ -9,7 +9,7 @@ import numpy as np
 
 from .array_types import Float
 
-UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}  # in metres
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 
 
 def rigid(

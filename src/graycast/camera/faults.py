@@ -31,7 +31,7 @@ from .decode import DepthMap
 from .sigma import with_depth_term
 
 STEEPEST = 0.02  # A change of depth over two pixels by more than this share is a step.
-_SEED = 15  # An arbitrary number that separates these random numbers from all others of a seed.
+_SEED = 15  # An arbitrary number that makes these draws independent of all other draws of a seed.
 _SMOOTHED = (4 * math.pi) ** -0.25  # Standard deviation of white noise after a Gaussian of 1 px.
 
 

@@ -120,7 +120,7 @@ TERMS = (
     ),
 )
 
-RIPPLE_OVER_FLOOR = 2.0  # A ripple below this many times its background is taken for chance.
+RIPPLE_OVER_FLOOR = 2.0  # A ripple below this many times its background counts as chance.
 _MOST_RIPPLE = 1.84  # The Bessel function J_1 has its maximum here.
 _PHASES = 4096  # The number of bins in the histogram of phases.
 BEND_SIGMAS = 2.0  # A bend of less than this many standard deviations may be noise.

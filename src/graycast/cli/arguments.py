@@ -244,7 +244,8 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "--address", usual="a Ray instance on this machine")
 
 
-# --- what options mean -------------------------------------------------------------------------
+# --- meaning of options
+# ----------------------------------------------------------------------------
 
 
 def workers_of(options: argparse.Namespace) -> "Workers":

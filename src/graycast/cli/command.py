@@ -24,7 +24,7 @@ from . import (
     start_commands,
 )
 
-GONE = {  # former names, each with a text on what replaces it
+GONE = {  # former names, each with a text about its replacement
     "rf-detr": RF_DETR,
     "film": "film is gone: graycast robot report writes a page that replays picks; record its "
     "window with the browser or with ffmpeg",

@@ -9,8 +9,8 @@ from .frame_groups import inverse_pairs, opposite_steps
 MOST_SAMPLES = 100_000
 CONSTANT_DN = 2  # A computed sum differs from its constant by at most this, even after JPEG.
 NEARLY_ALL = 0.99
-# Sums of real pictures differ by the noise of four frames. Even if that were only rounding, no more
-# than 60 % of the sums would be equal.
+# Sums of real pictures differ by the noise of four frames. Even with rounding alone, at most 60 %
+# of the sums would be equal.
 LIT_SHARE = 0.3  # Only pixels with this share of the highest contrast count; dark sums are all 0.
 FEWEST = 200  # The fewest such pixels that are enough.
 

@@ -39,7 +39,7 @@ class LocalPool:
         self._threads = threads or max(1, len(os.sched_getaffinity(0)) // workers)
         self._memory_bytes = _MEMORY_SHARE * _machine_memory_bytes() / workers
         self._has_warned = False
-        # This folder is deleted at the end of the run, with all that a killed worker leaves in it.
+        # This folder and all files that a killed worker leaves in it are deleted after the run.
         self._temporary = tempfile.TemporaryDirectory(
             prefix="graycast-run-", ignore_cleanup_errors=True
         )

@@ -17,7 +17,7 @@ from scipy import ndimage
 _ALONG = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # The inside is on the right.
 
 
-INSET_PX = 1 / 16  # It is a binary fraction below 0.1, since pycocotools rounds to fifths.
+INSET_PX = 1 / 16  # A binary fraction below 0.1, since pycocotools rounds to fifths
 _INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # Each direction has its inward normal here.
 
 

@@ -10,7 +10,7 @@ from ...base.public_value import public_value
 from ...base.settings import check_fields
 
 NAMES = ("train", "val", "test")
-_STEP = 0x9E3779B97F4A7C15  # It is 2^64 divided by the golden ratio, and odd.
+_STEP = 0x9E3779B97F4A7C15  # 2^64 divided by the golden ratio, an odd number
 _TURN = 2**64
 
 

@@ -209,7 +209,7 @@ def _outline(
     x0, y0 = np.floor(np.maximum(edge[:2] - margin, 0)).astype(int)
     x1 = min(width_px, int(np.ceil(edge[2] + margin)))
     y1 = min(height_px, int(np.ceil(edge[3] + margin)))
-    # The centre of the picture's pixel i lies at (i + 0.5) * scale - 0.5 of the input's pixels.
+    # Pixel i of the picture has its centre at (i + 0.5) * scale - 0.5 in pixels of the input.
     move = np.array(
         [
             [scale, 0, (x0 + 0.5) * scale - 0.5],

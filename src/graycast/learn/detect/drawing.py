@@ -12,7 +12,7 @@ from ...dataset.detections import Detections
 
 LEAST_SCORE = 0.5  # A detection is drawn from this score on.
 _MARGIN = 0.08  # margin of a cut-out around the detections, as a share of its longer side
-# Most detections are this wide, and the longer side of the drawing lies between the other two.
+# Most detections have the first width; the drawing's longer side is between the second and third.
 _LEAST_SIDE_PX, _WIDE_PX, _MOST_PX = 90, 1200, 2400
 _FONT, _TEXT_SCALE, _PAD_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.55, 4
 _STEPS = 10  # A label that does not fit its detection moves away by up to this many label heights.

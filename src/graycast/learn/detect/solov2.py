@@ -21,8 +21,8 @@ from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 from .backbones import open_backbone
 from .network import Network, NetworkOutput, Recipe, Target
 
-# Each level has one entry. An instance belongs to the levels whose range holds the root of its
-# box's area, as a share of the root of the picture's: two levels, as the ranges overlap.
+# Each level has one entry. An instance belongs to the levels whose range contains the root of its
+# box's area, relative to the root of the picture's area: two levels, as ranges overlap.
 GRIDS = (40, 36, 24, 16, 12)
 RANGES = ((0, 3 / 32), (3 / 64, 3 / 16), (3 / 32, 3 / 8), (3 / 16, 3 / 4), (3 / 8, inf))
 LEAST_SIDE_PX = 1.0
@@ -31,7 +31,7 @@ LEAST_AREA = (8, 8, 16, 32, 32)
 MASK_STRIDE = 4
 HEADS = {"darknet53": (512, 4, 256), "resnet50": (512, 4, 256), "resnet18": (256, 2, 128)}
 PYRAMID_WIDTH = 256
-# Cells whose centre lies within this share of the box around the centre of mass are positives.
+# Cells are positives if their centre is in this share of the box around the centre of mass.
 CENTRE_SHARE = 0.2
 MASK_WEIGHT = 3.0
 FOCAL_ALPHA, FOCAL_GAMMA = 0.25, 2.0

@@ -22,7 +22,7 @@ from .network import Network, NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
 PUBLISHED_PX = 640  # The library's anchors are for pictures of this side.
-# Only cells whose centre is this many cells from that of an instance, along both axes, may own it.
+# Only cells within this many cells of an instance's centre, along both axes, may own the instance.
 REACH = 1.5
 # The cross-entropy of this logit against "nothing here" is zero in single precision.
 SILENT = -100.0

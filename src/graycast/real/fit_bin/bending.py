@@ -277,7 +277,7 @@ class _Bend:
     def _pixel(self, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         point = transform_points(inverse(self.T_world_cam), point_m)
         height_px, width_px = self.log_ratio.shape
-        # A lens model may fold back outside the picture, so rays are limited to those of the
+        # A lens model may fold back outside the picture, so rays are limited to the rays of the
         # picture's border before they are projected.
         border = pixel_grid(height_px, width_px)
         border = np.concatenate([border[[0, -1]].reshape(-1, 2), border[:, [0, -1]].reshape(-1, 2)])

@@ -200,7 +200,7 @@ def _masks(
     bin_surface = np.where(is_floor(shape)[face], *map(SURFACES.index, ("floor", "walls")))
     surface = np.where(missed, SURFACES.index("table"), bin_surface)
     label = np.where(np.abs(off_m) < _NEAR_M, surface, NO_FACE)
-    alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # all neighbours are alike
+    alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # All neighbours are equal.
     rgb = _rgb(view)[::step, ::step]
     usable = ((rgb >= _DARK) & (rgb <= _BRIGHT)).all(axis=-1)
     masks = {}

@@ -101,7 +101,7 @@ def open_bop(folder: Path, options: SourceOptions) -> Source:
         notes=models.notes,
         image_of=partial(_read, scenes, sensor, options),
         sensor="" if options.ray_length else sensor,
-        # BOP stores z: a result whose source has ray lengths needs files of its own, not links.
+        # BOP stores z, so a source with ray lengths needs new files in the result instead of links.
         scenes={} if options.ray_length else scenes,
     )
 

@@ -114,7 +114,7 @@ def film_shares(
 
     inside = ggx.leaning(np.sqrt(1 - (1 - cosine**2) / eta**2))
     first, of_inside = once(inside), once(ggx.leaning(cosine))
-    # Light that was sent back meets the metal at about the angle at which it had left the metal.
+    # Light that was sent back meets the metal at about the angle at which it left the metal.
     weight = cosine * (1 - coat)
     met = [ggx.facets(w, (alpha, alpha))[1:] for w in inside]
     stays = np.array([1 - leaving(up) * passed for up, passed in met])

@@ -24,7 +24,7 @@ from jaxtyping import Float
 Alpha: TypeAlias = mi.Float | mi.Vector2f
 TABLE = 128  # The number of nodes in a table over the cosine, which is linear between them.
 # If roughness varies, tables have a row for each of these alphas, with equal steps of the cube
-# root: the energy of metal changes fastest if it is rough, and that of a coat if it is smooth.
+# root: energy changes fastest for rough metals and for smooth coats.
 ALPHAS = np.linspace(1e-4 ** (1 / 3), 1, 24) ** 3
 _FACETS = 4096  # The error of the visible-normal integral is then below 2e-4.
 _STEP = 0.5698402909980532  # From M. Roberts' R2 sequence, which fills two dimensions evenly.

@@ -87,7 +87,7 @@ class CausticTracer:
         for first, lanes in blocks(self.total):
             # A full picture with some thousands of samples has more than 2^32 paths.
             index = dr.arange(mi.UInt64, lanes) + dr.opaque(mi.UInt64, first)
-            # These random numbers must differ from those of the paths from the camera.
+            # These random numbers must differ from the numbers of the paths from the camera.
             state = dr.opaque(mi.UInt64, (seed * 0x9E3779B97F4A7C15 + first + 1) % 2**64)
             paths = self._started(mi.PCG32(size=lanes, initstate=state), index, start)
             (paths,) = dr.while_loop(

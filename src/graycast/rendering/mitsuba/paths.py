@@ -194,7 +194,7 @@ class Tracer:
         pick = p.rng.next_float32()
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         uv = dr.select(fresh, _in_sequence(p, ONWARD, paired=False), uv)
-        # One call for all evaluations of the material, so that it looks up its textures once.
+        # One call does all evaluations of the material, so that it looks up its textures once.
         to_lamp = beam.wo if lamp is None else lamp.wo
         albedo, value, lamp_value, lamp_pdf, bs, gain, lens_back, onward_back = dr.dispatch(
             si.bsdf(ray), self._ask, si, beam.wo, to_lamp, pick, uv

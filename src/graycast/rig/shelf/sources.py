@@ -23,7 +23,7 @@ LEGEND = (
     "from a datasheet and not checked, [choice] our choice; the rest is computed or simulated"
 )
 _GEOMETRY = ("camera", "projector", "baseline_m", "toe_in_deg", "near_m", "far_m")
-_WORDS = ("likeness", "laser", "base")  # Keys whose values are neither numbers nor a light
+_WORDS = ("likeness", "laser", "base")  # These keys have neither numbers nor a light as values.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from ..pose import PoseModel, find_pose, find_pose_in_box
 from .obstacles import FLOOR_M, WALL_M
 
 LEAST_AREA = 0.3  # A detection needs at least this share of the largest detection's pixels.
-LEAST_POSE = 0.3  # No grip is taken from a pose with a lower score.
+LEAST_POSE = 0.3  # Poses with a lower score give no grips.
 BESIDE_PX = 2  # The search for covering parts extends this far from the outline.
 COVERED_M = 8e-3  # A surface nearer to the camera by more than this covers the part.
 COVERED_SHARE = 0.08  # A part counts as covered if more than this share of its outline is covered.

@@ -44,7 +44,7 @@ class PickCell:
     @property
     def file_digests(self) -> dict[str, str]:
         """SHA-256 of every file in the configuration, by which changed files are detected."""
-        named = {}  # paths as in the configuration, so that the folder can be moved
+        named = {}  # These paths are as in the configuration, so that the folder can be moved.
         if self.config.robot.arm not in ARMS:
             named[self.config.robot.arm] = self.folder / self.config.robot.arm
         if self.detector is not None:

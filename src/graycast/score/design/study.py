@@ -17,7 +17,7 @@ from ...rig.pair import PRESETS
 from ...rig.shelf import no_rig
 from ...world.parts.material_section import MaterialSection
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # It becomes part of a path.
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # The name is part of a path.
 Code = Annotated[Settings, read_as(CodeSection)]
 Exposure = Annotated[Settings, read_as(ExposureSection)]
 Tilt = Annotated[float, Field(ge=0, le=80)]

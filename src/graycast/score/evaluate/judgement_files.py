@@ -42,7 +42,7 @@ class Evaluation:
     categories: Mapping[int, str]
     protocol: Protocol
     judgements: tuple[Judgement, ...]
-    notes: tuple[str, ...]  # what a reader must know about the results
+    notes: tuple[str, ...]  # facts that a reader must know about the results
 
 
 def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> None:

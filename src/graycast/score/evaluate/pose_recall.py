@@ -18,7 +18,7 @@ from ...world.parts import Mesh, Symmetry
 from ...world.parts.symmetry import motions
 from .pose_errors import mspd, mssd, rotation_translation, vsd
 
-# The thresholds of correctness are those of BOP 2020, section 2.4.
+# These thresholds of correctness are from BOP 2020, section 2.4.
 TAU = np.arange(1, 11) * 0.05  # VSD's tolerances as shares of the diameter
 THETA_VSD = np.arange(1, 11) * 0.05
 THETA_MSSD = np.arange(1, 11) * 0.05  # shares of the diameter

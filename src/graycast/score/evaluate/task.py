@@ -155,7 +155,8 @@ def _pictures(of_scene: Mapping[int, Examples]) -> Picture:
     return picture
 
 
-# --- what a reader of the figures must know of the results ---------------------------------------
+# --- notes on the results
+# --------------------------------------------------------------------------
 
 
 def notes(judgements: Sequence[Judgement]) -> Iterator[str]:

@@ -177,7 +177,8 @@ def measured_points(lab: Lab, depth_m: Float[np.ndarray, "h w"]) -> Float[np.nda
     return lab.scanner_ray * depth_m[..., None].astype(np.float64)
 
 
-# --- what a certificate states without a scan ---------------------------------------------------
+# --- figures that need no scan
+# ---------------------------------------------------------------------
 
 
 def blur(lab: Lab) -> tuple[BlurResult, ...]:

@@ -96,7 +96,7 @@ def draw_rig(rig: Rig, path: Path) -> None:
         _draw_fields(ax, rig, name, z_m)
     _share_limits(axes[1])
     _share_scale(axes[0, :2])
-    # Each row has the height of its drawings at one scale, so that no part of it stays empty.
+    # Each row has the height of its drawings at one scale, so that no space stays empty.
     spans = [abs(np.diff(ax.get_xlim()).item()) for ax in axes[0, :2]]
     above.set_width_ratios([*spans, sum(spans) / 2])
     depth = abs(np.diff(axes[0, 0].get_ylim()).item())

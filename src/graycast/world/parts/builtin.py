@@ -19,7 +19,7 @@ from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
 from .shapes import PANELS, loft, revolve, rounded_box, solid, superellipse, union
 
-CREASE_RAD = np.radians(35)  # It separates chamfers (45 deg) from the widest facet step (22.5 deg).
+CREASE_RAD = np.radians(35)  # Angle between chamfers (45 deg) and the widest facet step (22.5 deg)
 _STEEL_KG_M3 = 7800.0
 SALT_BOX_MM = (70.0, 60.0, 145.0)  # outer x, y, z
 TOOTHPASTE_MM = (190.0, 38.0, 45.0)
@@ -217,7 +217,7 @@ def _spray() -> Part:
     corner_uv = np.empty((len(faces), 3, 2))
     for name in ("head", "trigger"):
         mine = np.array([p == name for p in piece])
-        share = (corner[mine][..., [0, 2]] - [-40, 100]) / [100, 100]  # plain: anywhere inside
+        share = (corner[mine][..., [0, 2]] - [-40, 100]) / [100, 100]  # The picture is plain here.
         corner_uv[mine] = _into_region(share, region[name])
     mine = np.array([p == "body" for p in piece])
     corner_uv[mine] = _into_region(_wrap(corner[mine]), region["body"])

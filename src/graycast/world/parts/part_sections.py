@@ -157,7 +157,7 @@ def _unscaled(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]
             density_kg_m3=section.density_kg_m3 or own.density_kg_m3,
             friction=own.friction if section.friction is None else section.friction,
         ), ()
-    assert section.mesh is not None  # the section has one of the two
+    assert section.mesh is not None  # A section states a mesh or a built-in part.
     part, noticed = load_part(
         folder / section.mesh,
         name=section.name,

@@ -18,9 +18,9 @@ LEFT = 0.98  # After a symmetry, this share of the points is on the surface.
 FOLDS = (2, 3, 4, 5, 6, 8)  # Rotations by a full turn divided by these numbers are tried.
 MOST_MOTIONS = 120  # The icosahedron, the solid with the most rotations, has 60.
 MANY = 36  # A body of revolution is symmetric under a full turn divided by this.
-# Weights of the axes in the choice of one pose of a symmetric part without a reference. With
-# equal weights the two poses of a part that a half turn maps to itself would be equally near to the
-# camera's axes whenever it lies upside down, and noise would choose.
+# Weights of the axes in the choice of one pose of a symmetric part without a reference. With equal
+# weights, if a half turn maps a part to itself, its two poses would be equally near to the camera's
+# axes whenever it is upside down, and noise would decide.
 AXIS_WEIGHT = (3.0, 2.0, 1.0)
 
 
@@ -67,7 +67,7 @@ def nearest_member(
         for axis, offset in symmetry.continuous[:1]:
             member = _turn(np.array(axis), np.array(offset), _best_turn(axis, flip, M)) @ flip
         gain = float(np.trace(M @ member[:3, :3]))
-        if gain > most:  # The first of several equal ones is taken.
+        if gain > most:  # The first of several equal values wins.
             best, most = T @ member, gain
     return best
 

@@ -244,8 +244,7 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "--address", usual="a Ray instance on this machine")
 
 
-# --- meaning of options
-# ----------------------------------------------------------------------------
+# --- meaning of options ---------------------------------------------------------------------------
 
 
 def workers_of(options: argparse.Namespace) -> "Workers":

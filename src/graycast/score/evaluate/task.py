@@ -155,8 +155,7 @@ def _pictures(of_scene: Mapping[int, Examples]) -> Picture:
     return picture
 
 
-# --- notes on the results
-# --------------------------------------------------------------------------
+# --- notes on the results -------------------------------------------------------------------------
 
 
 def notes(judgements: Sequence[Judgement]) -> Iterator[str]:

@@ -177,8 +177,7 @@ def measured_points(lab: Lab, depth_m: Float[np.ndarray, "h w"]) -> Float[np.nda
     return lab.scanner_ray * depth_m[..., None].astype(np.float64)
 
 
-# --- figures that need no scan
-# ---------------------------------------------------------------------
+# --- figures that need no scan --------------------------------------------------------------------
 
 
 def blur(lab: Lab) -> tuple[BlurResult, ...]:

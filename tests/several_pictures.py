@@ -28,7 +28,7 @@ from prisms import CONFIG, SCALE_MM, SEED, box_part, hit_depth, pictures, wedge_
 NAMES = ("left-0", "left-1", "right-0", "right-1")
 SCENES = (0, 3)
 SIGMA_M = 0.1e-3
-HOLE = np.s_[40:60, 60:90]  # of the first picture
+HOLE = np.s_[40:60, 60:90]  # hole in the first picture
 _EYES = ((-0.25, 0.0, 0.6), (0.0, -0.3, 0.6), (0.25, 0.05, 0.6), (0.0, 0.3, 0.55))
 
 

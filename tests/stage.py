@@ -92,7 +92,7 @@ def leaning_wall(normal, offset_m, material, *, half_m=5.0):
     normal = np.asarray(normal) / np.linalg.norm(normal)
     u = np.cross([0.0, 1.0, 0.0], normal)
     u /= np.linalg.norm(u)
-    v = -np.cross(normal, u)  # so that u x v = -normal, towards the camera
+    v = -np.cross(normal, u)  # This gives u x v = -normal, towards the camera.
     return Quad(
         center_m=tuple((offset_m * normal).tolist()),
         half_u_m=tuple((half_m * u).tolist()),

@@ -330,7 +330,7 @@ def dataset(tmp_path_factory):
     path = write_cell(folder)
     out = folder / "out"
     arguments = ["generate", str(path), "--out", str(out), "--scenes", "1", "--device", "cpu"]
-    with no_pixels():  # of the card's plots
+    with no_pixels():  # The plots of the card need no pixels.
         assert main(arguments) == 0
     return path, out
 

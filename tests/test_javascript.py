@@ -70,7 +70,7 @@ def test_the_scripts_of_a_page_agree_with_their_stated_types(name, tmp_path):
 @pytest.mark.parametrize(
     ("right", "wrong"),
     [
-        ("scene.depth_scale_mm", "scene.depth_scale_m"),  # no such field
+        ("scene.depth_scale_mm", "scene.depth_scale_m"),  # This field does not exist.
         ("Graycast.toWorld(scene, 0, 0, 0)", "Graycast.toWorld(scene, 0, 0)"),
         ("Graycast.colormap(map)", "Graycast.colourmap(map)"),
         ("scene.depth_scale_mm / (2 * limit)", "scene.depth_scale_mm / (2 * 'limit')"),

@@ -104,7 +104,7 @@ def test_the_site_is_built_strictly_and_is_whole_without_a_network(site):
     pages = {
         path.relative_to(site).as_posix(): Links(path.read_text(encoding="utf-8"))
         for path in site.rglob("*.html")
-        if path.name != "404.html"  # its paths are those of a server's root
+        if path.name != "404.html"  # The paths of this page start at a server's root.
     }
     expected = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in PAGES[2:]}
     assert {path.as_posix() for path in expected} <= set(pages)

@@ -19,7 +19,7 @@ from graycast.base.settings import Settings
 def hints_of(thing):
     try:
         return typing.get_type_hints(thing)
-    except NameError:  # types that only type checkers import
+    except NameError:  # Only type checkers import these types.
         return {}
 
 

@@ -73,7 +73,7 @@ def test_an_uneven_finish_gives_noise_longer_tails_and_no_more_power(scanner, li
     sigma states; the noise of photons is even.
     """
     n, u = 8, 0.3
-    monkeypatch.setattr(scanner_module, "PATCH_M", 0.002)  # with many patches, their law is exact
+    monkeypatch.setattr(scanner_module, "PATCH_M", 0.002)  # With many patches, the law is exact.
     # In a deep well, photons make little noise.
     deep = replace(scanner.sensor, full_well_e=1e6, gain_dn_per_e=0.06, bit_depth=16)
     weak = {"speckle_contrast": 0.25}  # weak, so that a dark pixel is not moved farther

@@ -363,7 +363,7 @@ def test_a_closed_pipe_is_no_error():
 def cell_and_dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     path = write_cell(folder)
-    with no_pixels():  # plots of the card
+    with no_pixels():  # The plots of the card need no pixels.
         assert main(["generate", str(path), "--out", str(folder / "out"), "--device", "cpu"]) == 0
     return path, folder / "out"
 

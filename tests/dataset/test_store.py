@@ -79,7 +79,7 @@ def test_all_files_but_masks_are_on_the_disk_before_the_scene_has_its_name(
         size, renamed = at_sync[path.stat().st_ino]
         assert size == path.stat().st_size, path
         assert not (renamed and "000000" in path.relative_to(out).parts), path
-    assert at_sync[(out / "train").stat().st_ino][1]  # with the scene's new name
+    assert at_sync[(out / "train").stat().st_ino][1]  # The folder had the scene's new name.
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])

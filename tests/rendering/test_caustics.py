@@ -246,7 +246,7 @@ def test_projector_paths_do_not_change_the_mean_light_in_a_matt_room(mitsuba_ren
     scene = room(CAMERA, PROJECTOR, lambert(0.7))
     plain = pictures(mitsuba_renderer, scene, samples=128, seeds=range(8))
     monkeypatch.setattr("graycast.rendering.mitsuba.scene._is_shiny", lambda material: True)
-    mitsuba_renderer.close()  # so that the world is built again
+    mitsuba_renderer.close()  # This makes the next render build the world again.
     both = pictures(mitsuba_renderer, scene, samples=128, seeds=range(8))
     mitsuba_renderer.close()
     assert not np.array_equal(plain, both)

@@ -22,7 +22,7 @@ def test_defocused_stripes_lose_contrast_as_the_blur_disc_predicts(mitsuba_rende
     """
     period_px, f_px, focus_m = 16, 160.0, 0.5
     projector = blurred(centred(160, 16, f_px), focus_m, aperture_m=40e-3)
-    finer = 2.07  # so that camera pixels are anywhere in projector pixels
+    finer = 2.07  # Camera pixels are then anywhere in projector pixels.
     camera = centred(256, ROWS, finer * f_px)
     column = np.arange(160)
     sines = [127.5 * (1 - np.cos(2 * np.pi * (column / period_px - k / 4))) for k in range(4)]

@@ -265,7 +265,7 @@ def test_a_device_that_crashes_while_rendering_is_not_chosen(monkeypatch, tmp_pa
     assert choose_device("auto") == "llvm"
     with pytest.raises(DeviceError, match=r"ended by SIGABRT.*use --device cpu"):
         choose_device("cuda")
-    assert not list(tmp_path.rglob("*.json"))  # so that it is tried again after a repair
+    assert not list(tmp_path.rglob("*.json"))  # Without a file, a repair is followed by a trial.
 
 
 def test_a_successful_device_trial_is_not_repeated_until_the_machine_changes(monkeypatch, tmp_path):

@@ -42,7 +42,7 @@ def frame_index(code, axis, bit, inverse=False):
 @pytest.mark.slow
 def test_contrast_below_the_set_share_of_the_sensor_range_is_low_modulation():
     code = gray(32, 16)
-    spec = DecodeSpec(min_contrast=0.1)  # of 255 DN: 25.5
+    spec = DecodeSpec(min_contrast=0.1)  # 10 % of 255 DN is 25.5 DN.
     assert one_pixel(code, dark=50, bright=75, spec=spec) is Reason.LOW_MODULATION
     assert one_pixel(code, dark=50, bright=76, spec=spec) is Reason.DECODED
 

@@ -165,7 +165,7 @@ def test_neighbours_settle_the_period_of_a_pixel_with_contradictory_bits():
 def test_a_region_of_contradictory_pixels_is_not_filled():
     """Settled pixels do not count as neighbours, so only the border of the region is settled."""
     spoilt = np.zeros(SHAPE, dtype=bool)
-    spoilt[20:40, 10:30] = True  # on the wall
+    spoilt[20:40, 10:30] = True  # This area is on the wall.
     after = read(contradicting(spoilt), VOTES)
     assert (after.reason[22:38, 12:28] != Reason.DECODED).all()
     assert (after.mark[22:38, 12:28] & Mark.SETTLED == 0).all()

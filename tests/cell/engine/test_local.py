@@ -162,7 +162,7 @@ def test_the_scene_of_a_killed_worker_is_made_again_by_a_new_worker(task):
         for outcome in make_all(pool, range(3)):
             outcomes.append(outcome)
             if len(outcomes) == 1:
-                os.kill(workers_of(os.getpid())[0], signal.SIGKILL)  # it is making scene 1
+                os.kill(workers_of(os.getpid())[0], signal.SIGKILL)  # The worker is making scene 1.
     finally:
         pool.close()
     (failed,) = [outcome for outcome in outcomes if isinstance(outcome, Failed)]

@@ -196,7 +196,7 @@ def test_a_bop_scene_of_another_form_is_named(tmp_path, poses, message):
     (tmp_path / "000000").mkdir()
     file = tmp_path / "000000" / "scene_gt.json"
     file.write_text(json.dumps(poses))
-    (tmp_path / "0_notes").mkdir()  # no scene: its name is not a number
+    (tmp_path / "0_notes").mkdir()  # This is no scene, because its name is not a number.
     (tmp_path / "0_notes" / "scene_gt.json").write_text("{}")
     with pytest.raises(DatasetError, match=f"^{file}: .*{message}"):
         open_examples(tmp_path)

@@ -48,7 +48,7 @@ def names_of(name):
 
 @pytest.mark.parametrize("name", BACKBONES)
 def test_every_map_has_the_size_and_channels_that_the_backbone_states(name):
-    with torch.device("meta"):  # sizes alone, without weights and arithmetic
+    with torch.device("meta"):  # This needs only sizes, without weights and arithmetic.
         body = open_backbone(name, channels=4).eval()
         maps = body(torch.rand(1, 4, 64, 96))
     stated = [(1, c, 64 // s, 96 // s) for c, s in zip(body.channels, (4, 8, 16, 32), strict=True)]

@@ -272,7 +272,7 @@ def test_every_setting_is_in_the_claim_of_a_run_or_changes_no_weight(tmp_path):
     one, other = (
         _settings(replace(small, weights=tmp_path / name / "body.pth")) for name in ("a", "b")
     )
-    assert one != other  # two files of one name
+    assert one != other  # The two files have one name.
     changed["weights"] = one
     assert set(changed) == {field.name for field in fields(TrainSpec)}
     alike = {name for name, settings in changed.items() if settings == _settings(small)}

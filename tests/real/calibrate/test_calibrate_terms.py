@@ -86,7 +86,7 @@ def test_terms_that_a_long_lens_does_not_determine_are_left_out_with_a_note(seed
         assert abs(device.distortion[0] + 0.3) < 5 * fit.deviation[f"{name}.k1"]
     away = project(fit.camera, np.array([[0.15, 0.12, 0.9], [-0.15, -0.12, 0.9]]))
     true = project(camera, np.array([[0.15, 0.12, 0.9], [-0.15, -0.12, 0.9]]))
-    assert np.abs(away - true).max() < 2.0  # at the picture's corners
+    assert np.abs(away - true).max() < 2.0  # These errors are at the picture's corners.
 
 
 @pytest.mark.slow

@@ -287,7 +287,7 @@ def test_labelme_rectangles_polygons_and_groups_become_masks(real, samples):
         mask = np.zeros((120, 160), dtype=bool)
         mask[y : y + h, x : x + w] = True
         if i == 0:
-            mask[:2, :3] = True  # the other shape of its group
+            mask[:2, :3] = True  # This is the other shape of the group.
         np.testing.assert_array_equal(example.mask[i], mask)
     assert validate(out) == ()
 

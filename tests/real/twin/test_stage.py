@@ -97,7 +97,7 @@ def test_sides_are_named_by_position_and_unseen_ones_are_left_out():
     assert np.array_equal(sides.pop("blind"), np.isnan(scan_m) & is_bin)
     y, x = np.mgrid[-119.5:120, -159.5:160]
     far, inner = np.maximum(np.abs(x), np.abs(y)) > 62, np.abs(np.abs(x) - np.abs(y)) > 2
-    far[:4] = False  # no bin
+    far[:4] = False  # These rows show no bin.
     for name, where in {"left": -x, "right": x, "upper": -y, "lower": y}.items():
         mine = far & inner & (where > 0) & (where == np.maximum(np.abs(x), np.abs(y)))
         mine[:, :42] = sides[name][:, :42]

@@ -204,7 +204,7 @@ def test_a_jaw_grip_s_score_includes_the_probability_that_both_pads_meet_the_par
         error = math.sqrt(expected * (1 - expected) / 150)
         assert grip.score == pytest.approx(expected, abs=4 * error + 1 / 150)
         near_edge += expected < 0.9
-    assert near_edge >= 2  # some are near an edge
+    assert near_edge >= 2  # Some grips are near an edge.
 
 
 @pytest.mark.slow

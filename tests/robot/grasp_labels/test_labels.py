@@ -182,7 +182,7 @@ def test_the_object_that_the_tool_collides_with_is_named(suction, T, reach):
 @pytest.mark.slow
 def test_jaws_hold_a_plate_that_stands_on_its_edge(robots):
     world = world_of(JAWS)
-    lean = axis_rotation("x", np.pi / 2)  # on its long edge
+    lean = axis_rotation("x", np.pi / 2)  # The part is on its long edge.
     heap = heap_of(rigid(lean, np.array([0.0, 0.0, SIDES_M[1] / 2 + SKIN_M])))
     labels = label_scene(world, heap, Labelling(tool=JAWS, simulate=6), seed=0, scene_id=0)
     tried = [label for label in labels if label.ending is not None]

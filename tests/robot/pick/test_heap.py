@@ -138,7 +138,7 @@ def test_a_part_next_to_a_wall_does_not_become_as_high_as_the_wall():
     is_measured &= (point[..., 0] > 0.05) & (point[..., 0] < 0.099)
     whole = heap_of(depth, above)
     assert at(whole, 0.075, 0.0) == pytest.approx(0.02, abs=1e-3)
-    assert whole.height_m.max() < 0.03  # and no wall
+    assert whole.height_m.max() < 0.03  # The heap has no wall.
     without = heap_of(depth, above, without=is_measured)
     assert at(without, 0.075, 0.0) < 5e-3
 

@@ -259,7 +259,7 @@ def test_normals_of_a_plane_are_its_own_and_noise_is_measured():
     inside[60:100, 80:120] = True
     view = crop(z, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
     known = np.isfinite(view.smooth)
-    assert known.sum() >= known.size - 4  # in the corners, too little of a window is left
+    assert known.sum() >= known.size - 4  # In the corners, windows have too few pixels.
     np.testing.assert_allclose(view.smooth[known], view.z[known], rtol=1e-9)
     np.testing.assert_allclose(view.normal[known] - normal, 0, atol=1e-7)
     noisy = z + 0.0008 * np.random.default_rng(0).standard_normal(z.shape)

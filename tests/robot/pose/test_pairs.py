@@ -52,7 +52,7 @@ def test_every_pair_is_in_the_table_with_a_feature_that_no_motion_changes():
     rows = min(len(table.start), len(again.start))  # the longest distances are reserved by boxes
     np.testing.assert_array_equal(again.start[:rows], table.start[:rows])
     np.testing.assert_array_equal(again.first, table.first)
-    for k in range(60):  # all others have the same angle to the point's normal
+    for k in range(60):  # All other pairs have the same angle to the point's normal.
         turn = (again.turn_rad - table.turn_rad)[table.first == k].astype(float)
         np.testing.assert_allclose(np.exp(1j * turn), np.exp(1j * turn[0]), atol=1e-5)
 
@@ -70,7 +70,7 @@ def test_each_reference_point_votes_for_the_pose_within_half_a_bin_of_rotation()
         )
         off = Rotation.from_matrix(pose[:3, :3].T @ SOMEWHERE[:3, :3]).magnitude()
         assert off < 1.001 * np.pi / TURNS
-        assert weight[i] > 30  # of 39 pairs that each would have a whole vote
+        assert weight[i] > 30  # 39 pairs would each have a whole vote.
 
 
 @pytest.mark.parametrize("points", [2, 3, 6])

@@ -58,7 +58,7 @@ def test_one_seed_gives_one_interval_and_another_seed_nearly_the_same():
 def test_normal_draws_of_a_mean_have_the_interval_of_student(scenes, t):
     """Oracle: mean +- t s / sqrt(n), t from a printed table; the bootstrap's spread of the mean is
     s sqrt((n - 1) / n) / sqrt(n). Five standard errors of the quantile of 200,000 draws."""
-    spread = np.sqrt((scenes - 1) / scenes / scenes)  # of s = 1
+    spread = np.sqrt((scenes - 1) / scenes / scenes)  # for s = 1
     draws = 0.7 + spread * np.random.default_rng(5).standard_normal(200_000)
     limits = interval_of(0.7, draws, scenes)
     half = t / np.sqrt(scenes)

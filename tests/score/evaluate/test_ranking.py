@@ -49,7 +49,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says():
         score = rng.normal(success * 1.0, 1.0)
         figure = roc_auc_of_scenes(score, success, np.arange(120) // 4, seed=0)
         inside += figure.low <= 0.7602 <= figure.high
-    assert inside >= 34  # of 40 at 95 %: fewer by chance once in 300
+    assert inside >= 34  # 34 of 40 at 95 %: fewer occur by chance once in 300.
 
 
 @pytest.mark.slow

@@ -127,7 +127,7 @@ def test_every_control_changes_its_setting_and_shows_the_picture_of_preview(page
         for control in controls(page):
             key = control["key"]
             if key in ("rig", "resolution") or key.endswith("builtin"):
-                continue  # of presets; their choices are those of the lists that the code tests
+                continue  # The choices of presets come from lists that the code tests.
             if "choices" in control:
                 label = {
                     "exposure.factors": "1 + 0.25",
@@ -209,7 +209,7 @@ def test_errors_are_shown_with_the_command_line_s_messages(page, server):
     )
     assert "no built-in part 'nothing': choose " in page.locator("#error").inner_text()
     failed, now = (page.get_attribute("#main", f"data-{name}") for name in ("failed", "asked"))
-    assert failed == now  # so that no test waits for its picture
+    assert failed == now  # Otherwise, a test could wait for its picture.
     dimmed = "parseFloat(getComputedStyle(document.querySelector('#picture-side .stage')).opacity)"
     assert page.evaluate(dimmed) < 0.5  # The picture has other settings than the page now.
     act_and_wait(page, lambda: page.click("#undo"))

@@ -231,7 +231,7 @@ def test_a_killed_process_is_restarted_unless_it_finished_nothing(tmp_path):
     error = heard("error")
     assert "before it finished a picture: undo the" in error["error"]
     assert session.pid is None and error["number"] == session.number
-    session.open()  # as a reloaded page does
+    session.open()  # A reloaded page does the same.
     assert heard("picture")["number"] == session.number
     assert "target: 0.3" in session.state()["text"]
     session.close()
@@ -253,7 +253,7 @@ def test_the_process_that_makes_pictures_lives_as_long_as_a_page(server):
     assert Path(f"/proc/{pid}").exists()
     pages[0].close()
     time.sleep(GRACE_S + 1.5)
-    assert server.session.pid == pid  # one page is still there
+    assert server.session.pid == pid  # One page is still open.
     pages[1].close()
     deadline = time.monotonic() + 60
     while Path(f"/proc/{pid}").exists() and time.monotonic() < deadline:

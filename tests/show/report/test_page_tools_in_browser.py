@@ -117,7 +117,7 @@ def test_selected_scenes_can_be_tagged_and_found_by_their_lasting_tag(page):
     ]
     page.keyboard.press("Escape")
     assert page.locator("#ticked").is_hidden()
-    page.reload()  # as on another day
+    page.reload()  # This is like a visit on another day.
     ready(page, "overview")
     page.select_option("#pick-tag", "=odd")
     assert cards(page) == ["train-000000", "train-000004"]

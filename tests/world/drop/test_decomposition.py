@@ -178,7 +178,7 @@ def test_a_damaged_cache_file_of_hulls_is_replaced(tmp_path, damage):
     good = convex_hulls(part, tmp_path).hulls
     (file,) = tmp_path.iterdir()
     data = bytearray(file.read_bytes())
-    at = data.index(b"NUMPY") + 150  # among the vertices
+    at = data.index(b"NUMPY") + 150  # This position is among the vertices.
     match damage:
         case "flipped bit":
             data[at] ^= 16

@@ -35,7 +35,7 @@ def test_parts_fall_over_the_set_share_of_the_opening_but_over_at_least_one_cell
     everywhere, _ = start_poses(BIN, (BOX,), (60,), np.random.default_rng(1))
     assert T[:, 2, 3].max() > everywhere[:, 2, 3].max()
     T, _ = start_poses(BIN, (ROD,), (3,), np.random.default_rng(1), opening_share=1e-3)
-    assert np.abs(T[:, :2, 3]).max() == 0.0  # one above the other
+    assert np.abs(T[:, :2, 3]).max() == 0.0  # The parts are one above the other.
 
 
 @pytest.mark.slow

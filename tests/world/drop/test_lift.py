@@ -88,7 +88,7 @@ def test_a_cup_lifts_only_the_weight_that_its_vacuum_can_hold(share, holds):
     path = upwards(lying() @ on_top(), metres=0.1, seconds=3.0)
     end = lifted(body, hold_of(CUP, on_top()), path)
     assert (end.lost_s is None) == holds
-    sag_m = body.mass_kg * GRAVITY_M_S2 / 2000.0  # of the bellows
+    sag_m = body.mass_kg * GRAVITY_M_S2 / 2000.0  # sag of the bellows
     risen_m = end.T_world_part[0, 2, 3] - lying()[2, 3]
     assert risen_m == pytest.approx(0.1 - sag_m if holds else 0.0, abs=0.3e-3)
 

@@ -172,7 +172,7 @@ def test_a_part_held_only_by_damping_is_not_taken_for_a_part_at_rest(monkeypatch
     box, body = Bin(inner_m=(0.4, 0.3, 0.1), friction=0.2), body_of_box((0.06, 0.06, 0.01), 0.4)
     layout = simulate(box, (body,), at(-0.1, 0, 0.0052), np.zeros(1, int), simulated_s=2.0)
     assert not layout.at_rest
-    monkeypatch.setattr(rest, "REST_MOTION_M", 1.0)  # without checks
+    monkeypatch.setattr(rest, "REST_MOTION_M", 1.0)  # This switches the checks off.
     layout = simulate(box, (body,), at(-0.1, 0, 0.0052), np.zeros(1, int), simulated_s=2.0)
     assert layout.at_rest
 
@@ -222,7 +222,7 @@ def test_only_moving_parts_are_damped_and_rest_is_judged_without_damping():
     heap = Scripted(sinking)
     box_m = np.stack([body_of_box((0.04,) * 3).box_m] * 2)
     end, last_m, seconds, rests = rest._rest(heap, box_m, 5.0)
-    assert last_m == 0  # in the 0.2 s that showed rest, not in the fall before
+    assert last_m == 0  # This is from the 0.2 s that showed rest, not from the fall.
     assert rests and seconds == pytest.approx(19 * rest.LOOK_S)
     assert end[:, 2, 3] == pytest.approx([0.09, 0.1])
     factors = np.array(heap.parts["factors"])

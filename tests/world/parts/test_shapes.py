@@ -24,7 +24,7 @@ def test_the_volume_of_a_rounded_box_follows_steiner_s_formula():
     """Oracle: Steiner's formula for a box grown by r, its quarter circles replaced by chords."""
     size, r, steps = (70.0, 60.0, 145.0), 8.0, 3
     a, b, c = (side - 2 * r for side in size)
-    chords = 8 * steps  # of a full circle
+    chords = 8 * steps  # chords of a full circle
     circle = 0.5 * chords * np.sin(2 * np.pi / chords) * r**2
     prisms = a * b * c + 2 * r * (a * b + b * c + c * a) + circle * (a + b + c)
     vertices, faces, _ = rounded_box(size, r, steps)

@@ -109,7 +109,7 @@ def test_surface_points_are_on_the_surface_and_one_step_apart():
                                np.abs(normal) @ [0.03, 0.02, 0.05], atol=1e-12)  # fmt: skip
     apart = np.linalg.norm(point[:, None] - point[None], axis=-1) + np.eye(len(point))
     assert apart.min() >= 0.008
-    assert apart.min(axis=1).max() < 0.018  # and none is isolated
+    assert apart.min(axis=1).max() < 0.018  # No point is isolated.
 
 
 HALF_TURNS = tuple(np.diag([*sign, 1.0]) for sign in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1)))

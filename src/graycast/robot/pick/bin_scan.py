@@ -134,7 +134,7 @@ def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
     from pycocotools import mask as coco_mask
 
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
-    # A class that the detector names otherwise gets a spare id, as ids below 0 are dropped.
+    # Classes that only the detector knows need an id, too, as ids below 0 are left out.
     another = 0 if len(ids) == 1 else len(ids)
     wanted = {name: ids.get(name, another) for name in detector.about.names}
     depth_m = shot.view.depth_m.astype(np.float32)

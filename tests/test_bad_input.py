@@ -123,7 +123,7 @@ def assert_untouched(out: Path):
     ],
     ids=lambda value: str(value)[:50] if isinstance(value, dict) else "",
 )
-def test_a_wrong_setting_is_named_with_its_file_and_what_is_allowed(
+def test_a_wrong_setting_is_named_with_its_file_and_the_allowed_values(
     capsys, tmp_path, changes, words
 ):
     path, out = write_cell(tmp_path, **changes), tmp_path / "out"
@@ -152,7 +152,7 @@ def test_a_wrong_setting_is_named_with_its_file_and_what_is_allowed(
     ],
     ids=lambda value: str(value)[:30] if isinstance(value, bytes) else "",
 )
-def test_text_that_is_no_configuration_is_refused_with_its_line(capsys, tmp_path, text, words):
+def test_a_text_that_is_no_configuration_is_refused_with_its_line(capsys, tmp_path, text, words):
     path, out = tmp_path / "bad.yaml", tmp_path / "out"
     path.write_bytes(text)
     answer = refusal(capsys, "generate", path, "--out", out)
@@ -253,7 +253,7 @@ def test_a_broken_texture_is_named_with_the_remedy(capsys, tmp_path, damage):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [slow("exr"), "hdr"])
-def test_a_damaged_environment_map_is_named_and_no_folder_claimed(capsys, tmp_path, ending):
+def test_a_damaged_environment_map_is_named_and_no_folder_is_made(capsys, tmp_path, ending):
     """The output folder once stayed claimed, and so refused the corrected configuration."""
     sky = np.random.default_rng(0).random((16, 32, 3)).astype(np.float32)
     whole = cv2.imencode(".hdr", sky)[1].tobytes()
@@ -277,7 +277,7 @@ def test_a_broken_rig_file_is_named_by_its_key(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_parts_that_cannot_lie_in_the_bin_are_refused_before_they_fall(capsys, tmp_path):
+def test_parts_that_do_not_fit_in_the_bin_are_refused_before_they_fall(capsys, tmp_path):
     for count, inner_m, words in (
         (3, [0.02, 0.02, 0.1], ["part box", "60 x 40 x 30 mm", "20 x 20 x 100 mm", "larger bin"]),
         (255, [0.08, 0.08, 0.05], ["255 parts", "18.4 litres", "drop 3 at most"]),
@@ -347,7 +347,7 @@ def everything(folder):
         ("below a file", ["Not a directory"]),
     ],
 )
-def test_an_existing_file_or_foreign_folder_is_left_alone(capsys, tmp_path, kind, words):
+def test_an_existing_file_or_a_folder_of_other_files_stays_unchanged(capsys, tmp_path, kind, words):
     path, out = write_cell(tmp_path), tmp_path / "out"
     if kind == "foreign":
         out.mkdir()
@@ -374,7 +374,7 @@ def test_an_existing_file_or_foreign_folder_is_left_alone(capsys, tmp_path, kind
         ),
     ],
 )
-def test_a_dataset_of_another_configuration_is_left_alone(
+def test_a_dataset_of_another_configuration_stays_unchanged(
     capsys, tmp_path, dataset, arguments, changes, words
 ):
     out, path = dataset[1], write_cell(tmp_path, **changes)
@@ -386,7 +386,7 @@ def test_a_dataset_of_another_configuration_is_left_alone(
     assert everything(out) == before
 
 
-def test_a_dataset_that_another_run_writes_is_left_alone(capsys, dataset):
+def test_a_dataset_that_another_run_writes_stays_unchanged(capsys, dataset):
     path, out = dataset
     before = everything(out)
     with open(out / ".lock", "a") as lock:
@@ -396,7 +396,7 @@ def test_a_dataset_that_another_run_writes_is_left_alone(capsys, dataset):
     assert everything(out) == before
 
 
-def test_a_folder_that_may_not_be_written_is_named(capsys, tmp_path):
+def test_a_folder_without_permission_to_write_is_named(capsys, tmp_path):
     path, locked = write_cell(tmp_path), tmp_path / "locked"
     locked.mkdir(mode=0o500)
     if os.access(locked, os.W_OK):
@@ -407,7 +407,7 @@ def test_a_folder_that_may_not_be_written_is_named(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_picture_or_table_without_a_folder_says_what_to_check(capsys, tmp_path):
+def test_the_error_for_a_picture_or_table_without_a_folder_says_what_to_check(capsys, tmp_path):
     nowhere = tmp_path / "none" / "rig.png"
     text = refusal(capsys, "rig", "show", "paper", "--out", nowhere)
     assert str(nowhere) in text
@@ -431,7 +431,7 @@ def test_a_missing_gpu_is_reported_with_the_remedy(capsys, tmp_path):
     ("has_apt", "remedy"),
     [(True, "apt-get install libllvm19\n"), (False, "install a shared LLVM 19 with the system")],
 )
-def test_without_llvm_the_error_gives_the_remedy(capsys, tmp_path, monkeypatch, has_apt, remedy):
+def test_the_error_for_missing_llvm_has_a_remedy(capsys, tmp_path, monkeypatch, has_apt, remedy):
     monkeypatch.setattr(device, "find_llvm", lambda folders=None: None)
     monkeypatch.setattr(device, "list_llvm", lambda folders=None: ())
     monkeypatch.setattr(device, "examine_cuda", lambda: CudaState(problem="none"))
@@ -502,7 +502,7 @@ def test_a_failing_command_exits_with_its_code_and_one_line(tmp_path):
     assert subprocess.run([*GRAYCAST, "nope"], capture_output=True).returncode == 2
 
 
-def test_debug_shows_where_an_error_comes_from(tmp_path):
+def test_the_option_debug_prints_the_traceback_of_an_error(tmp_path):
     path = write_cell(tmp_path, scnes=3)
     with pytest.raises(Exception, match=r"did you mean scenes\?"):
         main(["generate", str(path), "--out", str(tmp_path / "out"), "--debug"])

@@ -59,13 +59,13 @@ def files_of_texts() -> Mapping[str, set[str]]:
 
 
 @pytest.mark.parametrize("kind", NAMES)
-def test_no_other_file_knows_the_existing_ones_by_name(kind):
+def test_no_other_file_names_the_existing_extensions(kind):
     knowing = set().union(*(files_of_texts()[name] for name in NAMES[kind]))
     others = knowing - files_for(kind) - KNOWING
     assert {name for name in others if "/rendering/cycles/" not in name} == set()
 
 
-def test_every_file_that_the_page_names_exists():
+def test_every_file_that_contributing_names_exists():
     text = (ROOT / "CONTRIBUTING.md").read_text()
     named = re.findall(r"`((?:src|tests|examples|configs|docs|benchmarks|studies)/[\w/.]+)`", text)
     assert named and [name for name in named if not (ROOT / name).exists()] == []

@@ -63,7 +63,7 @@ def test_constraints_contain_only_names_and_versions():
     assert len({line.split("==")[0].lower() for line in lines}) == len(lines)
 
 
-def test_a_tested_version_of_each_dependency_is_stated_and_is_one_that_is_asked_for():
+def test_a_tested_version_is_stated_for_each_dependency_and_meets_its_requirement():
     stated = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().split())
     stated = {name.lower().replace("_", "-"): version for name, version in stated.items()}
     for requirement in wanted(PROJECT["dependencies"], *EXTRAS.values()):
@@ -72,7 +72,7 @@ def test_a_tested_version_of_each_dependency_is_stated_and_is_one_that_is_asked_
 
 
 @pytest.mark.parametrize("name", ["mitsuba", "drjit", "rapier3d"])
-def test_what_changes_pictures_or_layouts_of_a_seed_has_an_upper_bound(name):
+def test_dependencies_that_affect_pictures_or_layouts_have_an_upper_bound(name):
     (requirement,) = (r for r in wanted(PROJECT["dependencies"]) if r.name == name)
     assert {"<", ">="} == {part.operator for part in requirement.specifier}
 

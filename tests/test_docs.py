@@ -85,7 +85,7 @@ def measured(page):
             yield words, " ".join(linked_text(page, target) for target in targets)
 
 
-def test_each_number_that_a_page_cites_stands_in_the_measurement_that_it_links():
+def test_each_number_on_a_page_is_in_the_linked_measurement():
     pages = [page for page in PAGES if page.parent != OLDER.parent]
     cited = [(name_of(page), *one) for page in pages for one in measured(page)]
     assert sum(bool(NUMBER.search(words)) for _, words, _ in cited) >= 8
@@ -104,7 +104,7 @@ def test_each_number_of_the_readme_has_a_link_to_its_measurement():
     assert bare == []
 
 
-def test_a_wrong_number_would_be_noticed():
+def test_a_wrong_number_is_detected():
     page = "Up to 10.2 % are wrong, at most 1.7 % with guards; 8.8 of 14 rows; 0.190 mm"
     assert missing_numbers("from 10.2 % to 1.7 %", page) == []
     assert missing_numbers("from 8.8 % to 1.4 %, 0.19 mm", page) == ["8.8 %", "1.4 %", "0.19 mm"]
@@ -137,13 +137,13 @@ def named_paths(text):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_each_path_of_the_repository_that_a_page_names_is_there(page):
+def test_each_repository_path_on_a_page_exists(page):
     text = LINK.sub(lambda link: f"{link[1]} ", page.read_text(encoding="utf-8"))
     gone = {path for path in named_paths(text) if not is_there(path)} - FOREIGN
     assert gone == set()
 
 
-def test_a_path_that_is_gone_would_be_noticed():
+def test_a_missing_path_is_detected():
     named = list(named_paths("`camera/finish.py`, `src/graycast/rig/`, see tests/rig/test_rig.py."))
     assert named == ["camera/finish.py", "src/graycast/rig", "tests/rig/test_rig.py"]
     assert [is_there(path) for path in named] == [False, True, True]
@@ -160,7 +160,7 @@ def command_of(words):
     return parser, rest
 
 
-def test_each_command_within_a_sentence_is_one_of_the_program():
+def test_each_command_within_a_sentence_exists_in_the_program():
     """Such a command may omit required arguments; blocks of commands are parsed fully."""
     count = 0
     for page in PAGES:
@@ -179,7 +179,7 @@ def test_each_command_within_a_sentence_is_one_of_the_program():
     assert count > 60
 
 
-def test_each_benchmark_and_each_study_that_a_page_runs_is_there():
+def test_each_benchmark_and_each_study_on_a_page_exists():
     count = 0
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
@@ -198,7 +198,7 @@ def test_each_benchmark_and_each_study_that_a_page_runs_is_there():
     assert count > 20
 
 
-def test_each_target_of_make_that_a_page_names_is_there():
+def test_each_make_target_on_a_page_exists():
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     texts = [page.read_text(encoding="utf-8") for page in PAGES]
     blocks = "\n".join(block[0] for text in texts for block in FENCE.finditer(text))
@@ -209,7 +209,7 @@ def test_each_target_of_make_that_a_page_names_is_there():
 
 
 @pytest.mark.parametrize("page", [p for p in MEASUREMENTS if p != OLDER], ids=lambda p: p.stem)
-def test_each_table_of_measurements_says_its_commit_and_its_date(page):
+def test_each_table_of_measurements_states_its_commit_and_date(page):
     """Commit and date are in the table's section or before the first section."""
     start, *sections = re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     for section in sections or [""]:
@@ -233,7 +233,7 @@ def commits_of(page):
     return set(COMMIT.findall(remark.sub("", page.read_text(encoding="utf-8"))))
 
 
-def test_a_page_says_that_it_is_older_where_the_list_does():
+def test_exactly_the_listed_pages_say_that_their_figures_are_older():
     listed = {}
     for change, moved, _ in changes():
         for target, commits in re.findall(r"\]\((\S+?)\)([^\[]+)", moved):

@@ -21,7 +21,7 @@ from graycast.dataset.checking import validate
 SOURCE = Path(graycast.__file__)
 
 
-def test_opening_the_door_loads_the_version_and_no_other_package():
+def test_importing_graycast_loads_only_the_version():
     """In a fresh process, all other new entries of `sys.modules` belong to Python."""
     code = (
         "import sys, typing, importlib; before = set(sys.modules); import graycast;"
@@ -32,7 +32,7 @@ def test_opening_the_door_loads_the_version_and_no_other_package():
     assert done.stdout.strip() == "['graycast', 'graycast.base', 'graycast.base.version']"
 
 
-def test_every_name_of_the_door_is_its_rooms_own():
+def test_every_public_name_is_the_object_of_its_own_package():
     """Python reads `_MODULE` and type checkers read the imports, so both must agree."""
     tree = ast.parse(SOURCE.read_text(encoding="utf-8"))
     modules = {
@@ -52,13 +52,13 @@ def test_every_name_of_the_door_is_its_rooms_own():
         assert inspect.unwrap(getattr(graycast, name)) is inspect.unwrap(getattr(room, name))
 
 
-def test_no_name_of_the_door_is_a_room_too():
+def test_no_public_name_is_also_a_package():
     """Once a room is loaded, it would hide a function of its name."""
     rooms = {path.stem for path in SOURCE.parent.iterdir()}
     assert not rooms & set(graycast.__all__)
 
 
-def test_a_name_that_the_door_lacks_is_an_attribute_error_and_a_broken_room_is_not(monkeypatch):
+def test_only_an_unknown_name_and_not_a_broken_package_is_an_attribute_error(monkeypatch):
     with pytest.raises(AttributeError, match="'graycast' has no attribute 'scene'"):
         _ = graycast.scene
     assert not hasattr(graycast, "__wrapped__")
@@ -73,7 +73,7 @@ def test_dir_of_graycast_lists_only_its_public_names():
     assert {name for name in dir(graycast) if name[:2] != "__"} == {*graycast.__all__[1:]}
 
 
-def test_a_shot_is_one_line(cell_and_shot):
+def test_one_line_of_python_takes_a_shot(cell_and_shot):
     assert re.fullmatch(
         r"Shot\(scene 0, \d+ parts, \d+ x \d+ px, \d+% of the parts' pixels decoded\)",
         str(cell_and_shot[1]),
@@ -81,7 +81,7 @@ def test_a_shot_is_one_line(cell_and_shot):
 
 
 @pytest.mark.slow
-def test_python_runs_the_package():
+def test_python_runs_the_package_as_a_module():
     command = [sys.executable, "-m", "graycast", "--version"]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
     assert run.stdout == f"graycast {graycast.__version__}\n"
@@ -96,7 +96,7 @@ def cell_and_shot(tmp_path_factory, mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_a_scene_saved_by_hand_is_the_one_that_generate_writes(cell_and_shot, tmp_path):
+def test_a_scene_saved_by_a_script_equals_the_scene_of_generate(cell_and_shot, tmp_path):
     """All bytes but the timings are equal, and `generate` can continue in the folder."""
     cell, shot = cell_and_shot
     saved = graycast.save_scene(cell, shot, tmp_path / "hand")
@@ -107,7 +107,7 @@ def test_a_scene_saved_by_hand_is_the_one_that_generate_writes(cell_and_shot, tm
     assert content(tmp_path / "hand") == content(tmp_path / "run")
 
 
-def test_a_scene_is_saved_once_and_with_its_own_cell(cell_and_shot, tmp_path):
+def test_a_scene_is_saved_only_once_and_only_with_its_own_cell(cell_and_shot, tmp_path):
     cell, shot = cell_and_shot
     graycast.save_scene(cell, shot, tmp_path / "out")
     before = content(tmp_path / "out")

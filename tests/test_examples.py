@@ -45,7 +45,7 @@ def run(name, folder):
     return done.stdout
 
 
-def test_every_example_is_tested_and_under_80_lines():
+def test_every_example_is_tested_and_shorter_than_80_lines():
     files = sorted(EXAMPLES.glob("*.py"))
     assert [file.name for file in files] == sorted(ARGUMENTS)
     assert all(len(file.read_text().splitlines()) < 80 for file in files)
@@ -75,7 +75,7 @@ def test_the_mesh_next_to_the_example_is_made_again_exactly(tmp_path):
 
 
 @pytest.mark.slow
-def test_one_scene_is_compared_with_its_truth(tmp_path):
+def test_the_example_compares_one_scene_with_its_truth(tmp_path):
     text = run("02_one_scene.py", tmp_path)
     shares = [float(share) for share in re.findall(r"([\d.]+)%", text)]
     assert len(shares) == 9 and abs(sum(shares) - 100) < 0.5  # every pixel has one reason
@@ -83,7 +83,7 @@ def test_one_scene_is_compared_with_its_truth(tmp_path):
 
 
 @pytest.mark.slow
-def test_plain_gray_code_is_wrong_in_a_bowl_where_micro_phases_are_not(tmp_path):
+def test_plain_gray_code_fails_in_a_bowl_and_micro_phases_do_not(tmp_path):
     """M. Gupta and S. Nayar found this (CVPR 2012); two samples add noise to both codes."""
     text = run("03_codes_in_a_bowl.py", tmp_path)
     off = {line.split()[0]: float(line.split()[3][:-1]) for line in text.splitlines()[1:]}
@@ -96,7 +96,7 @@ def test_plain_gray_code_is_wrong_in_a_bowl_where_micro_phases_are_not(tmp_path)
 
 
 @pytest.mark.slow
-def test_an_own_code_measures(tmp_path):
+def test_a_scanner_with_a_code_of_the_user_measures_depth(tmp_path):
     text = run("04_own_code.py", tmp_path)
     assert "11 frames" in text
     assert float(re.search(r"([\d.]+)% of the pixels", text)[1]) > 50
@@ -104,7 +104,7 @@ def test_an_own_code_measures(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_own_part_becomes_a_dataset(tmp_path):
+def test_a_part_of_the_user_becomes_a_dataset(tmp_path):
     """A hexagon less a circle: `sqrt(3)/2 s^2 - pi r^2`; 48 corners lack 0.3 % of the circle."""
     run("05_own_part.py", tmp_path)
     area_mm2 = math.sqrt(3) / 2 * 46**2 - math.pi * 15**2
@@ -113,7 +113,7 @@ def test_an_own_part_becomes_a_dataset(tmp_path):
 
 
 @pytest.mark.slow
-def test_fog_of_an_own_renderer_multiplies_the_exposure(tmp_path):
+def test_fog_in_a_renderer_of_the_user_multiplies_the_exposure(tmp_path):
     """Equal steps of density multiply the exposure by equal factors, as exponentials do."""
     text = run("06_own_renderer.py", tmp_path)
     clear, thin, thick = (float(number) for number in re.findall(r"([\d.]+) ms", text))
@@ -122,7 +122,7 @@ def test_fog_of_an_own_renderer_multiplies_the_exposure(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dataset_is_read_back(tmp_path):
+def test_the_example_reads_a_dataset(tmp_path):
     samples = write_dataset(tmp_path / "prisms")
     lines = run("07_read_a_dataset.py", tmp_path).splitlines()[2:]
     per_scene = [np.unique(sample.truth.instance) for sample in samples.values()]
@@ -131,7 +131,7 @@ def test_a_dataset_is_read_back(tmp_path):
 
 
 @pytest.mark.slow
-def test_pictures_of_a_wall_become_its_cloud(tmp_path):
+def test_the_example_converts_pictures_of_a_wall_to_a_cloud(tmp_path):
     """The reference renderer makes the pictures; the example reads only these and the rig."""
     rig = make_rig(centred(160, 120, 200), centred(128, 96, 160))
     scanner = Scanner(rig=rig, code=CodeSpec(codec="gray_phase", axes=("column",)))
@@ -156,7 +156,7 @@ def test_pictures_of_a_wall_become_its_cloud(tmp_path):
 # pycocotools 2.0.11 has an array type from before NumPy 2.
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 @pytest.mark.slow
-def test_a_detector_of_another_library_is_trained_and_finds_boxes(tmp_path):
+def test_a_detector_of_another_library_is_trained_and_detects_boxes(tmp_path):
     """Without rfdetr, which is rarely installed, the example says that it is missing."""
     pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
     write_shapes(tmp_path / "shapes", 10)

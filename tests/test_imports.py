@@ -144,7 +144,7 @@ def comes_before(first, second):
     return one < other or one == other == -1
 
 
-def test_every_module_has_its_place():
+def test_every_module_is_in_the_table_of_imports():
     """Each room is in the table, and each module is in the docstring of its room."""
     tops = {name[0] for name, _, _ in modules() if name}
     assert tops == set(ROOMS), f"give {sorted(tops ^ set(ROOMS))} a line in ROOMS, or none"
@@ -153,7 +153,7 @@ def test_every_module_has_its_place():
         assert inside == set(order_in(room)), f"complete {room}/__init__.py"
 
 
-def test_a_module_imports_only_from_modules_above_it():
+def test_a_module_imports_only_from_modules_listed_above_it():
     """One test checks all modules, because a test case for each doubled the time."""
     broken = {
         ".".join(name): wrong
@@ -163,7 +163,7 @@ def test_a_module_imports_only_from_modules_above_it():
     assert not broken, "\n".join(f"{name} may not import {sorted(broken[name])}" for name in broken)
 
 
-def test_no_files_import_each_other_in_a_circle():
+def test_no_modules_import_each_other_in_a_circle():
     """Imports within functions count too."""
     graph = {}
     for name, file, is_folder in modules():
@@ -173,7 +173,7 @@ def test_no_files_import_each_other_in_a_circle():
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
-def test_rooms_for_real_scanners_share_only_files():
+def test_packages_for_real_scanners_share_only_files():
     """Each task has its own folder; only `twin` may import another one, `realism`."""
     folders = {name[1] for name, _, _ in modules() if name[:1] == ("real",) and name[2:]}
     assert folders == {
@@ -193,13 +193,13 @@ def test_rooms_for_real_scanners_share_only_files():
             assert not inside & folders - own, ".".join(name)
 
 
-def test_the_door_shows_every_room_in_its_order():
+def test_graycast_lists_all_packages_in_the_order_of_the_table():
     """The map is the docstring of `graycast/__init__.py`: a line a room."""
     text = ast.get_docstring(tree_of(SOURCE / "__init__.py"))
     assert tuple(re.findall(r"^    (\w+) {2,}\S.*$", text, re.MULTILINE)) == ROOMS
 
 
-def test_no_room_imports_from_graycast_itself():
+def test_no_package_imports_from_graycast_itself():
     """`from graycast import Scene` inside the package would hide an arrow from the table."""
     for name, file, is_folder in modules():
         package = name if is_folder else name[:-1]
@@ -221,7 +221,7 @@ def test_only_the_named_modules_import_the_whole_pipeline():
             assert not all(any(within(t, {place}) for t in targets) for place in line), name
 
 
-def test_the_table_notices_a_wrong_import(tmp_path):
+def test_an_import_that_the_table_forbids_is_detected(tmp_path):
     """The imports are relative, absolute or nested; their targets are later or forbidden."""
     file = tmp_path / "wrong.py"
     file.write_text(

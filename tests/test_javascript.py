@@ -62,7 +62,7 @@ def checked(folder, files):
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_the_scripts_of_a_page_agree_with_their_stated_types(name, tmp_path):
+def test_the_scripts_of_a_page_have_no_type_errors(name, tmp_path):
     done = checked(tmp_path, scripts(name))
     assert done.returncode == 0, done.stdout
 
@@ -76,7 +76,7 @@ def test_the_scripts_of_a_page_agree_with_their_stated_types(name, tmp_path):
         ("scene.depth_scale_mm / (2 * limit)", "scene.depth_scale_mm / (2 * 'limit')"),
     ],
 )
-def test_a_wrong_name_or_number_of_arguments_is_noticed(right, wrong, tmp_path):
+def test_a_wrong_name_or_number_of_arguments_is_detected(right, wrong, tmp_path):
     """Scripts read without their types would pass the check with any fault."""
     broken = []
     for path in scripts("page"):

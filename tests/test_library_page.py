@@ -18,7 +18,7 @@ BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 
 
 @pytest.mark.slow
-def test_the_first_lines_make_and_save_a_scene(tmp_path, monkeypatch, mitsuba_renderer):
+def test_the_first_lines_on_the_page_make_and_save_a_scene(tmp_path, monkeypatch, mitsuba_renderer):
     """With a small cell instead of the demo, the code makes the same scene as `generate`."""
     assert len([line for line in BLOCKS[0].splitlines() if line.strip()]) < 10
     monkeypatch.chdir(tmp_path)
@@ -35,7 +35,7 @@ def test_the_first_lines_make_and_save_a_scene(tmp_path, monkeypatch, mitsuba_re
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
-def test_the_blocks_of_the_page_run_in_order(tmp_path, monkeypatch, capsys):
+def test_the_code_blocks_of_the_page_run_in_order(tmp_path, monkeypatch, capsys):
     """The blocks run on the demo's files, and later blocks use names of earlier ones."""
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
@@ -47,7 +47,7 @@ def test_the_blocks_of_the_page_run_in_order(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.count("missing") == 2
 
 
-def test_the_page_names_every_example_and_only_names_that_exist():
+def test_the_page_names_every_example_and_only_existing_names():
     examples = set(re.findall(r"`examples/(\w+\.py)`", PAGE))
     assert examples == {file.name for file in (ROOT / "examples").glob("*.py")}
     for name in set(re.findall(r"`graycast\.([a-zA-Z_.]+)`", PAGE)):
@@ -66,7 +66,7 @@ OTHERS = re.findall(r"^```python\n(.*?)^```$", ELSEWHERE, re.DOTALL | re.MULTILI
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # Warnings of other libraries do not count.
 @pytest.mark.parametrize("library", ["open3d", "trimesh", "torch", "supervision", "rerun"])
-def test_another_library_accepts_the_values(tmp_path, monkeypatch, library):
+def test_another_library_accepts_the_returned_values(tmp_path, monkeypatch, library):
     """Each block of the page runs where its library is installed."""
     pytest.importorskip(
         library, reason=f"needs {library}: run pip install {library}", exc_type=ImportError

@@ -99,13 +99,13 @@ SIZES = {
 
 
 @pytest.mark.parametrize("what", SIZES)
-def test_what_is_larger_than_its_limit_is_listed_with_its_size(what):
+def test_everything_larger_than_its_limit_is_listed_with_its_size(what):
     limit, listed, measure = SIZES[what]
     larger = {name: size for name, size in measure().items() if size > limit}
     assert larger == listed, f"{what}: at most {limit}; the list may only become shorter"
 
 
-def test_public_classes_have_names_of_their_own():
+def test_no_two_public_classes_share_a_name():
     places = defaultdict(list)
     for name, node in definitions():
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
@@ -113,7 +113,7 @@ def test_public_classes_have_names_of_their_own():
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
 
 
-def test_the_package_and_its_pages_grow_by_a_reason_alone():
+def test_the_package_and_its_pages_do_not_exceed_their_recorded_size():
     """A change that needs more room raises the number here, and its commit says why."""
     assert sum(len(text.splitlines()) for text in sources().values()) <= MOST_LINES
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

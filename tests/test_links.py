@@ -91,7 +91,7 @@ def pages():
     return sorted(path for path in files() if path.endswith(".md"))
 
 
-def test_each_link_on_each_page_leads_to_a_file_and_heading_that_exist_in_a_clone():
+def test_each_link_on_a_page_leads_to_an_existing_file_and_heading():
     paths, count, faults = files(), 0, []
     for page in pages():
         for link in links_of((ROOT / page).read_text(encoding="utf-8")):
@@ -101,7 +101,7 @@ def test_each_link_on_each_page_leads_to_a_file_and_heading_that_exist_in_a_clon
     assert [words for words in faults if words] == []
 
 
-def test_each_link_of_each_notebook_leads_to_a_file_of_a_clone():
+def test_each_link_in_a_notebook_leads_to_a_file_in_the_repository():
     notebooks = sorted(path for path in files() if path.endswith(".ipynb"))
     assert notebooks
     for path in notebooks:
@@ -110,7 +110,7 @@ def test_each_link_of_each_notebook_leads_to_a_file_of_a_clone():
         assert [words for link in links_of(text) if (words := fault(path, link, files()))] == []
 
 
-def test_each_page_that_a_comment_an_error_or_a_help_text_names_is_in_a_clone():
+def test_each_page_named_by_a_comment_error_or_help_text_is_in_the_repository():
     kinds = (".py", ".js", ".yaml", ".sh", ".md", ".toml", "Makefile")
     named = [
         (path, mention)
@@ -124,7 +124,7 @@ def test_each_page_that_a_comment_an_error_or_a_help_text_names_is_in_a_clone():
     assert faults == []
 
 
-def test_a_link_that_leads_nowhere_is_noticed():
+def test_a_broken_link_is_detected():
     text = (
         "# Some title\n\n## Some title\n\n[a](b.md#no) ![c](d.png) `[e](f)`\n\n<img src='g.png'>\n"
     )

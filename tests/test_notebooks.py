@@ -69,7 +69,7 @@ def check(notebook, name):
     check_text("".join("".join(output.get("text", "")) for output in outputs))
 
 
-def test_every_notebook_is_stored_as_it_ran_and_is_small():
+def test_every_notebook_is_small_and_stored_with_the_outputs_of_its_run():
     files = sorted(NOTEBOOKS.glob("*.ipynb"))
     assert [file.stem for file in files] == sorted(EXPECTED)
     for file in files:
@@ -80,7 +80,7 @@ def test_every_notebook_is_stored_as_it_ran_and_is_small():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # Jupyter's warnings do not count.
 @pytest.mark.parametrize("name", EXPECTED)
-def test_a_notebook_runs(tmp_path, name):
+def test_every_notebook_runs_without_errors(tmp_path, name):
     """Beside a copy of the examples' data, where it may write."""
     nbclient = pytest.importorskip("nbclient", reason="needs nbclient: run make extras")
     pytest.importorskip("ipykernel", reason="needs ipykernel: run make extras")

@@ -46,7 +46,7 @@ def schemas(capsys):
         yield kind, json.loads(capsys.readouterr().out)
 
 
-def test_every_key_of_every_schema_has_a_description_and_a_row_with_it(reference, capsys):
+def test_every_key_of_every_schema_has_a_row_with_its_description(reference, capsys):
     row = re.compile(r"^\| (?:<[^|]+>|\[)`(\w+)`.* \| (.+) \|$", re.MULTILINE)
     rows = {
         key_and_text for page in reference.pages().values() for key_and_text in row.findall(page)
@@ -98,7 +98,7 @@ def test_every_material_has_a_row_with_its_numbers(reference):
         assert (surface or "our choice") == preset.surface
 
 
-def test_every_reason_and_every_setting_of_a_scanner_has_its_line_in_the_glossary(reference):
+def test_every_reason_and_every_scanner_setting_has_a_line_in_the_glossary(reference):
     """Oracle: the annotations of the values themselves, which the page does not read."""
     page = html.unescape(reference.pages()["reference/glossary.md"])
     rows = dict(re.findall(r"^\| <a id=\S+></a>(.+?) \| (.+) \|$", page, re.MULTILINE))
@@ -116,13 +116,13 @@ def test_every_reason_and_every_setting_of_a_scanner_has_its_line_in_the_glossar
     assert {"settling votes", "fine bits", "hidden sigmas", "raster px", "doubt"} < set(rows)
 
 
-def test_no_anchor_of_a_page_is_given_twice(reference):
+def test_no_page_has_the_same_anchor_twice(reference):
     for name, page in reference.pages().items():
         anchors = re.findall(r'<a id="(\S+)">', page)
         assert len(anchors) == len(set(anchors)), name
 
 
-def test_the_pages_in_the_repository_are_those_of_the_program(reference):
+def test_the_pages_in_the_repository_equal_the_output_of_the_program(reference):
     """Otherwise the old name of a key or a flag would stay on the pages of a clone."""
     for place, text in reference.pages().items():
         page = SCRIPT.parent / place
@@ -130,7 +130,7 @@ def test_the_pages_in_the_repository_are_those_of_the_program(reference):
         assert stored == text, f"docs/{place} is out of date: run make reference"
 
 
-def test_each_page_that_says_that_the_program_writes_it_is_one_of_them(reference):
+def test_each_page_that_claims_to_be_generated_is_generated(reference):
     remark = reference._REMARK.strip()
     own = {
         page.relative_to(SCRIPT.parent).as_posix()
@@ -141,7 +141,7 @@ def test_each_page_that_says_that_the_program_writes_it_is_one_of_them(reference
 
 
 @pytest.mark.slow
-def test_main_writes_what_is_out_of_date_and_names_it(reference, tmp_path, monkeypatch, capsys):
+def test_main_rewrites_outdated_pages_and_names_them(reference, tmp_path, monkeypatch, capsys):
     (tmp_path / "reference").mkdir()
     monkeypatch.setattr(reference, "__file__", str(tmp_path / "reference_pages.py"))
     reference.main()

@@ -16,7 +16,7 @@ def read_yaml(name: str) -> dict:
     return yaml.safe_load((ROOT / name).read_text())
 
 
-def test_the_workflow_runs_the_command_of_the_readme_with_supported_versions_of_python():
+def test_the_workflow_runs_the_readme_command_with_supported_versions_of_python():
     job = read_yaml(".github/workflows/test.yml")["jobs"]["test"]
     assert [step["run"] for step in job["steps"] if "run" in step] == ["make test"]
     supported = re.search(r"Python ([\d.]+) to ([\d.]*\d)", (ROOT / "README.md").read_text())
@@ -31,7 +31,7 @@ def test_the_citation_states_the_version_of_the_program_and_its_licence():
     assert citation["references"][0]["title"] in (ROOT / "README.md").read_text().replace("\n", " ")
 
 
-def test_the_hooks_before_a_commit_are_checks_of_make_test():
+def test_every_pre_commit_hook_is_also_a_check_of_make_test():
     hooks = [
         hook for repo in read_yaml(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]
     ]

@@ -113,7 +113,7 @@ def test_no_phrase_becomes_more_frequent():
     assert not more, "(source, docs) now and at most: say it in plain English"
 
 
-def test_docstrings_are_read_wherever_they_stand():
+def test_docstrings_are_read_at_every_place_in_a_file():
     text = '''"""Of a module."""
 class Surface:
     """What a class is."""

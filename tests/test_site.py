@@ -40,7 +40,7 @@ def commands():
                     yield page, words[1:]
 
 
-def test_every_command_on_the_pages_is_one_that_the_parser_takes():
+def test_every_command_on_the_pages_is_accepted_by_the_parser():
     """Otherwise the old name of an option would stay on the pages."""
     lines = list(commands())
     assert len(lines) > 40
@@ -51,7 +51,7 @@ def test_every_command_on_the_pages_is_one_that_the_parser_takes():
             assert stopped.code == 0, f"{page}: graycast {' '.join(words)}"
 
 
-def test_every_python_and_yaml_block_can_be_read():
+def test_every_python_and_yaml_block_can_be_parsed():
     for page, code in blocks("python"):
         compile(code, str(page), "exec")
     for _, code in blocks("yaml"):
@@ -60,7 +60,7 @@ def test_every_python_and_yaml_block_can_be_read():
         json.loads(code)
 
 
-def test_every_file_that_a_page_names_is_there():
+def test_every_file_that_a_page_names_exists():
     """Paths of the repository in code words: examples, configurations, scripts, tests, sources."""
     named = re.compile(r"`((?:examples|configs|scripts|tests|docs|src)/[\w./-]+\.[a-z]+)`")
     for page in PAGES:
@@ -99,7 +99,7 @@ def site(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_site_is_built_strictly_and_is_whole_without_a_network(site):
+def test_the_site_is_built_without_warnings_and_needs_no_network(site):
     """Every link and anchor leads somewhere; nothing is loaded from elsewhere; no raw equation."""
     pages = {
         path.relative_to(site).as_posix(): Links(path.read_text(encoding="utf-8"))
@@ -136,9 +136,7 @@ def test_the_site_is_built_strictly_and_is_whole_without_a_network(site):
     ("words", "expected"),
     [("settling votes", "reference/"), ("interreflection", "explanation/decoding.html")],
 )
-def test_the_search_field_finds_pages_of_a_site_that_is_opened_from_the_disk(
-    site, browser, words, expected
-):
+def test_the_search_field_works_in_a_site_opened_from_the_disk(site, browser, words, expected):
     """A browser starts no worker and fetches no file there, and nothing may come from a network."""
     with browser.new_page() as page:
         requests = []
@@ -162,7 +160,7 @@ def spec_of(section):
 
 
 @pytest.mark.slow
-def test_the_reference_shows_every_name_of_the_door(tmp_path):
+def test_the_reference_shows_every_public_name(tmp_path):
     """Every public attribute of `graycast` is in the reference."""
     import graycast
 

@@ -15,7 +15,7 @@ from parsed import nodes_of
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_the_checker_looks_at_every_module():
+def test_the_type_checker_reads_every_module():
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
     assert not any("ignore_errors" in override for override in tool["overrides"])
     assert tool["exclude"] == ["rendering/cycles/worker/"]  # scripts of Blender's Python

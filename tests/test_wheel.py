@@ -45,7 +45,7 @@ def wheel(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_wheel_holds_every_file_of_the_package(wheel):
+def test_the_wheel_contains_every_file_of_the_package(wheel):
     """Templates of the page, Blender's scripts and the marker of types are no Python modules."""
     tracked = run(["git", "ls-files", "src/graycast"], ROOT).splitlines()
     inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
@@ -53,7 +53,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel):
 
 
 @pytest.mark.slow
-def test_the_wheel_in_a_fresh_environment_makes_a_scene(wheel, tmp_path):
+def test_the_wheel_installed_in_a_fresh_environment_makes_a_scene(wheel, tmp_path):
     """The dependencies are this environment's, so that nothing is downloaded."""
     run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "fresh"], tmp_path)
     python = tmp_path / "fresh/bin/python"

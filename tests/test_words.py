@@ -62,7 +62,7 @@ def names_with(words: set[str], *folders: str) -> Counter[str]:
     return Counter({name: names[name] for name in left})
 
 
-def test_no_name_has_a_word_of_another_thing():
+def test_no_name_in_the_package_has_an_unwanted_word():
     """The unwanted words are read from the table in CONTRIBUTING.md."""
     words = unused_words()
     assert {"told", "held", "seen"} <= words
@@ -72,11 +72,11 @@ def test_no_name_has_a_word_of_another_thing():
 
 
 @pytest.mark.slow
-def test_no_name_of_a_test_or_a_study_has_a_word_of_another_thing():
+def test_no_name_in_tests_or_studies_has_an_unwanted_word():
     assert not names_with(unused_words(), "tests", "benchmarks", "studies", "examples")
 
 
-def test_names_are_read_wherever_they_are_given():
+def test_names_are_read_from_every_kind_of_definition():
     text = """
 def told(said, *held, **seen): ...
 class JudgedPose: laid: int

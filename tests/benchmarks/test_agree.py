@@ -25,7 +25,7 @@ def row(figures, light, name):
 
 
 @pytest.mark.slow
-def test_it_reports_the_ratio_of_each_class_exactly(painted):
+def test_the_ratio_of_each_class_is_reported_exactly(painted):
     one = (0.7, 0.4, 0.5, 0.6)
     other = tuple(light * ratio for light, ratio in zip(one, RATIOS.values(), strict=True))
     first = painted(white=one)
@@ -49,7 +49,7 @@ def test_it_reports_the_ratio_of_each_class_exactly(painted):
 
 
 @pytest.mark.parametrize(("shift_px", "accepted"), [(0.2, True), (-0.3, False)])
-def test_it_reports_the_difference_in_columns(painted, shift_px, accepted):
+def test_the_difference_in_columns_is_reported(painted, shift_px, accepted):
     """The tolerance of 0.03 allows for linear interpolation, since the code has cosines."""
     figures = study(painted(), painted(name="cycles", shift_px=shift_px))
     depth = figures["depth"]
@@ -59,7 +59,7 @@ def test_it_reports_the_difference_in_columns(painted, shift_px, accepted):
     assert figures["accepted"]["depth"] is accepted
 
 
-def test_it_counts_the_pixels_that_only_one_renderer_decodes(painted):
+def test_pixels_that_only_one_renderer_decodes_are_counted(painted):
     """The blind renderer lacks 3 of 20 rows; pixels that are invalid in both count as alike."""
     figures = study(painted(), painted(name="cycles", blind=3))
     depth = figures["depth"]
@@ -86,7 +86,7 @@ def test_both_renderers_get_the_same_scenes_without_the_footprint_filter(painted
     assert heard[-1] == "scene 3 of 3"
 
 
-def test_the_effect_of_noise_alone_is_that_of_the_first_compared_with_itself(painted):
+def test_the_effect_of_noise_alone_does_not_depend_on_the_second_renderer(painted):
     """A different picture of the second renderer does not change these figures."""
     noisy = painted(noise=0.5)
     one = study(noisy, painted(name="cycles", shift_px=3.0))["noise_alone"]
@@ -96,7 +96,7 @@ def test_the_effect_of_noise_alone_is_that_of_the_first_compared_with_itself(pai
 
 
 @pytest.mark.slow
-def test_its_figures_can_be_written_as_json_text_and_plot(painted, tmp_path):
+def test_figures_of_the_benchmark_are_written_as_json_text_and_plot(painted, tmp_path):
     figures = json.loads(json.dumps(study(painted(), painted(name="cycles"))))
     assert "median_abs_columns" in describe(figures)
     assert len(describe(figures).splitlines()) < 60

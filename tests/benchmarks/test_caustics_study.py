@@ -6,7 +6,7 @@ import pytest
 from benchmarks.caustics import fireflies
 
 
-def test_a_firefly_has_the_light_beyond_its_neighbours():
+def test_the_light_of_a_firefly_is_the_excess_over_its_neighbours():
     """Counted by hand: a pixel of 11 times the rest is a firefly, one of twice the rest is not."""
     white = np.ones((20, 20))
     white[10, 10], white[4, 4] = 11.0, 2.0

@@ -11,7 +11,7 @@ from graycast.rig.optics import rays
 from graycast.rig.pair import preset_rig
 
 
-def test_a_crop_has_the_rays_of_the_picture_it_is_cut_from():
+def test_a_crop_has_the_same_rays_as_the_whole_picture():
     camera = replace(preset_rig("like-phoxi-m").camera, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))
     crop = cells.cropped(camera, (258, 194))
     whole = rays(camera, pixel_grid(772, 1032))
@@ -31,5 +31,5 @@ def test_the_photon_noise_of_the_quiet_sensor_is_at_most_two_digital_numbers():
     assert np.sqrt(variance_dn2) / sensor.max_dn < 4e-5
 
 
-def test_the_stack_that_is_timed_has_24_patterns():
+def test_the_timed_stack_has_24_patterns():
     assert len(cells.PHASE_BOTH.code(1024, 768).frames) == 24

@@ -43,7 +43,7 @@ def run(root, rev="HEAD", stages=("drop",)):
     return compare(root, rev, stages=stages, minutes=0, path=None, on_progress=lambda text: None)
 
 
-def test_ratios_are_taken_within_a_round():
+def test_ratios_are_computed_within_each_round():
     """A machine that is slower in the second round changes the medians, but not the ratios."""
     (row,) = summarise(records("fall", here=[1.1, 2.0, 1.2], there=[1.0, 2.0, 1.0]))
     assert row["here"] == 1.2 and row["there"] == 1.0
@@ -86,7 +86,7 @@ def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
     assert results[-1]["row"] == "peak memory [MB]"
 
 
-def test_every_stage_has_the_last_line_of_a_process_that_dies(tmp_path, monkeypatch):
+def test_every_stage_reports_the_last_line_of_a_process_that_dies(tmp_path, monkeypatch):
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\necho first >&2; echo last words >&2; exit 3\n")
     python.chmod(0o755)
@@ -108,7 +108,7 @@ def test_the_other_tree_is_removed_after_an_error(repository, monkeypatch, error
     assert len(trees(repository)) == 1
 
 
-def test_the_other_tree_is_the_commit_and_not_the_working_tree(repository):
+def test_the_other_tree_contains_the_commit_and_no_uncommitted_change(repository):
     (repository / "src/graycast/__init__.py").write_text("changed = True")
     with worktree(repository, "HEAD") as other:
         assert (other / "src/graycast/__init__.py").read_text() == ""
@@ -131,7 +131,7 @@ def test_a_module_that_has_moved_does_not_end_the_comparison(repository, monkeyp
     assert order == [("0", "here"), ("0", "there"), ("1", "there"), ("1", "here")]
 
 
-def test_an_unknown_commit_is_one_clear_error(capsys):
+def test_an_unknown_commit_is_refused_with_one_clear_error(capsys):
     assert program.main(["compare", "no-such-commit"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: 'no-such-commit' is no commit of") and error.count("\n") == 1

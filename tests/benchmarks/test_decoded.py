@@ -87,7 +87,7 @@ EVERYWHERE = np.ones((3, 256), dtype=bool)
 
 
 @pytest.mark.parametrize(("shift_px", "growth_px"), [(0.3, 0.0), (0.0, -0.2), (-0.25, 0.1)])
-def test_edges_are_found_where_they_were_moved_to(shift_px, growth_px):
+def test_moved_edges_are_located_at_their_new_positions(shift_px, growth_px):
     """There are nearly as many rising as falling edges, so shift and growth separate."""
     figures = edge_shifts(light(shift_px, growth_px), light(), CODE, EVERYWHERE)
     # Edges of wide stripes: bits 2 to 5 of 64 values have 8, 4, 2 and 1 edges.
@@ -98,7 +98,7 @@ def test_edges_are_found_where_they_were_moved_to(shift_px, growth_px):
     assert figures["edge_lost_share"] == 0
 
 
-def test_an_edge_that_moved_too_far_is_lost():
+def test_an_edge_that_moved_too_far_counts_as_lost():
     assert edge_shifts(light(2.5), light(), CODE, EVERYWHERE) == {}
     nowhere = np.zeros_like(EVERYWHERE)
     assert edge_shifts(light(), light(), CODE, nowhere) == {}

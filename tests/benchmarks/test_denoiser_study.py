@@ -21,7 +21,7 @@ def rows(renderer="cycles", **shares):
     ]
 
 
-def test_the_advice_is_the_best_denoiser_and_the_fewest_samples_within_the_limit():
+def test_the_advice_names_the_best_denoiser_and_the_fewest_samples_within_the_limit():
     series = {"none": (0.4, 0.2, 0.1, 0.009, 0.001), "oidn": (0.3, 0.1, 0.05, 0.02, 0.004)}
     advice = recommended(rows(**series) + rows("mitsuba", none=(0.0,) * 5), "cycles")
     assert advice == {
@@ -39,7 +39,7 @@ def test_no_number_is_advised_if_the_error_rises_with_more_samples():
     assert recommended(rows(none=(0.1, 0.02, 0.008, 0.006)), "cycles")["samples"] == 16
 
 
-def test_the_series_doubles_up_to_the_most():
+def test_numbers_of_samples_double_up_to_the_maximum():
     assert sample_counts(256) == (4, 8, 16, 32, 64, 128, 256)
     assert sample_counts(100) == (4, 8, 16, 32, 64)
     with pytest.raises(ValueError, match="samples is 3"):
@@ -47,7 +47,7 @@ def test_the_series_doubles_up_to_the_most():
 
 
 @pytest.mark.slow
-def test_errors_fall_with_samples_as_the_noise_does(painted):
+def test_errors_and_noise_fall_equally_with_more_samples(painted):
     """A renderer without noise has no errors, for any number of samples and denoiser."""
     noisy = painted(name="cycles", noise=0.6)
     figures = denoise.study(

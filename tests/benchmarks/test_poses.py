@@ -8,14 +8,14 @@ from benchmarks.poses import CASES, measure, scaled
 from graycast.dataset.pose_results import read_pose_results
 
 
-def test_a_box_grows_about_its_middle():
+def test_a_box_is_enlarged_about_its_middle():
     np.testing.assert_allclose(scaled(np.array([10.0, 20, 40, 10]), 1.2), [6, 19, 48, 12])
     np.testing.assert_allclose(scaled(np.array([10.0, 20, 40, 10]), 0.8), [14, 21, 32, 8])
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
-def test_poses_are_found_in_a_dataset_and_written(master, tmp_path):  # noqa: F811
+def test_poses_are_estimated_for_a_dataset_and_written(master, tmp_path):  # noqa: F811
     """Perfect depth and masks of prisms give their poses, and every file has BOP's form."""
     out = tmp_path / "poses"
     words = {"datasets": [master], "instances": 6, "min_visibility": 0.9, "out": out}

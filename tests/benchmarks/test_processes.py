@@ -42,7 +42,7 @@ def _printed(script: str) -> list[float]:
 
 
 @pytest.mark.slow
-def test_a_childs_time_and_memory_count():
+def test_time_and_memory_of_a_child_process_are_counted():
     """The child works for 0.3 s, partly perhaps before the first look; ticks are of 0.01 s."""
     used_s, peak_bytes = _printed(PARENT)
     assert 0.15 < used_s < 1.0
@@ -50,7 +50,7 @@ def test_a_childs_time_and_memory_count():
 
 
 @pytest.mark.slow
-def test_a_benchmark_s_peak_is_that_of_the_process_that_did_the_work():
+def test_the_peak_memory_of_a_benchmark_is_that_of_its_worker_process():
     """A child of 600 MB has ended: the peak must be its peak, not that of the small parent."""
     (peak_bytes,) = _printed(PARENT_OF_AN_ENDED_CHILD)
     assert 600e6 < peak_bytes < 700e6

@@ -75,7 +75,7 @@ def test_an_extrapolated_stack_takes_as_long_as_a_rendered_stack(painted, clock)
     assert len(figures["rounds"]) == 2
 
 
-def test_samples_for_equal_error_follow_the_power_law():
+def test_the_number_of_samples_for_equal_error_follows_the_power_law():
     """With errors of 1 / n (one pass) and 6 / n (Cycles), Cycles needs 96 samples for the error of
     16; a frame takes 2 + n / 2 s of processor time.
     """
@@ -99,7 +99,7 @@ def test_samples_for_equal_error_follow_the_power_law():
         assert row["onepass_samples_for_cycles_error"] == 4.0 and row["onepass_side"] == "<"
 
 
-def test_a_frame_that_is_not_steady_does_not_count(clock):
+def test_a_disturbed_frame_does_not_change_the_measured_time(clock):
     """The first frame builds the scene; the median ignores one disturbed frame."""
     watch = Stopwatch()
     for frame_s in (30, 4, 4, 19, 1):
@@ -114,7 +114,7 @@ def test_too_few_samples_are_refused(painted):
 
 
 @pytest.mark.slow
-def test_its_figures_can_be_written_as_json_text_and_plot(painted, clock, tmp_path):
+def test_figures_of_the_benchmark_are_written_as_json_text_and_plot(painted, clock, tmp_path):
     words = {"name": "cycles", "noise": 0.3, "per_sample_s": 1}
     figures = renderers.study(
         slow(painted, clock, per_sample_s=0.1, noise=0.3),

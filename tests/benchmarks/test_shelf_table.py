@@ -11,12 +11,12 @@ PAGE = Path(__file__).resolve().parents[2] / "docs/reference/shelf.md"
 
 
 @pytest.mark.slow
-def test_the_page_has_the_stored_figures():
+def test_the_page_shows_the_stored_figures():
     page = PAGE.read_text()
     assert with_table(page, measured().scanners) == page
 
 
-def test_a_table_has_a_row_for_each_scanner_and_leaves_the_page_around_it():
+def test_the_table_has_a_row_for_each_scanner_and_the_rest_of_the_page_is_kept():
     text = with_table(f"before {START} old {END} after", {})
     assert text.startswith(f"before {START}") and text.endswith(f"{END} after")
     rows = [line for line in text.splitlines() if line.startswith("| `")]

@@ -38,13 +38,13 @@ def at(x_m: float, z_m: float, turn=None):
 
 
 @pytest.mark.slow
-def test_two_rods_on_each_other_stay_where_they_lie():
+def test_two_stacked_rods_do_not_move():
     layout = lying(at(0, 0.01 + SKIN_M), at(0.03, 0.03 + 3 * SKIN_M))
     assert unbalanced_m(BIN, (rod(),), layout).max() < 20e-6
 
 
 @pytest.mark.parametrize("beyond_m, falls", [(0.048, False), (0.053, True)])
-def test_a_rod_falls_off_another_when_its_weight_is_beyond_the_edge(beyond_m, falls):
+def test_a_rod_falls_if_its_centre_of_mass_is_beyond_the_edge_of_its_support(beyond_m, falls):
     """Oracle: statics; the lower rod ends 50 mm from its middle."""
     layout = lying(at(0, 0.01 + SKIN_M), at(beyond_m, 0.03 + 3 * SKIN_M))
     moved_m = unbalanced_m(BIN, (rod(),), layout)
@@ -52,7 +52,7 @@ def test_a_rod_falls_off_another_when_its_weight_is_beyond_the_edge(beyond_m, fa
 
 
 @pytest.mark.parametrize("friction, slides", [(0.1, True), (0.7, False)])
-def test_a_rod_leans_on_the_wall_where_friction_holds_it(friction, slides):
+def test_a_rod_leans_on_the_wall_if_friction_is_sufficient(friction, slides):
     """Oracle: a ladder at angle a slides where tan a < (1 - mu^2) / (2 mu): here tan a = 1.19."""
     angle = np.deg2rad(50)
     turn = axis_rotation("y", -angle)
@@ -69,28 +69,28 @@ def dropped(*families, counts, seeds, hull_folder):
 
 
 @pytest.mark.slow
-def test_a_bolt_makes_scenes_and_lies_in_balance(tmp_path):
+def test_bolts_come_to_rest_in_balance(tmp_path):
     """A bolt on an empty floor once never came to rest."""
     for row in dropped("hex_bolt", counts=(1, 10), seeds=2, hull_folder=tmp_path):
         assert (row["made"], row["most"], row["balanced"]) == (2, 1, 2), row
 
 
 @pytest.mark.slow
-def test_boxes_that_lie_on_faces_are_in_balance(tmp_path):
+def test_boxes_on_their_faces_are_in_balance(tmp_path):
     """With one or two points per contact, boxes rocked by 1 to 41 mm: see balance.py."""
     (row,) = dropped("yellow_salt_cube", counts=(7,), seeds=4, hull_folder=tmp_path)
     assert (row["made"], row["balanced"]) == (4, 4), row
 
 
 @pytest.mark.slow
-def test_ten_tubes_of_many_hulls_come_to_rest(tmp_path):
+def test_ten_tubes_with_many_hulls_come_to_rest(tmp_path):
     """The tubes never come to rest if the engine clusters contacts."""
     (row,) = dropped("tube", counts=(10,), seeds=1, hull_folder=tmp_path)
     assert row["made"] == row["asked"] == 1, row
 
 
 @pytest.mark.slow
-def test_families_that_once_never_settled_come_to_rest(tmp_path):
+def test_difficult_families_of_parts_come_to_rest(tmp_path):
     names = ("socket_screw", "rivet", "tube", "o_ring", "spring", "chain", "shaft", "gear")
     rows = dropped(*names, counts=(1, 10), seeds=2, hull_folder=tmp_path)
     assert len(rows) == 2 * len(names)

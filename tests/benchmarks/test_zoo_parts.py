@@ -122,7 +122,7 @@ EXPECTED = {
 }
 
 
-def test_every_family_has_its_volume_here():
+def test_every_family_of_the_zoo_has_a_reference_volume():
     assert ZOO == (*EXPECTED, *BUILTIN)
     with pytest.raises(ValueError, match=r"'bolt'.*hex_bolt.*toothpaste"):
         zoo_part("bolt")

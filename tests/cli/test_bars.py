@@ -15,7 +15,7 @@ def progress():
     return Progress(console=Console(file=io.StringIO(), width=60), auto_refresh=False)
 
 
-def test_each_kind_has_a_bar_and_the_stage_a_line_below_the_notes(progress):
+def test_each_kind_of_progress_has_a_bar_and_the_stage_has_a_line_below_the_notes(progress):
     with Bars(progress) as bars:
         bars.stage("reading [red].stl")
         bars.count("scenes", 2, 5)

@@ -217,7 +217,7 @@ def flags_of(name_and_parser):
             yield name, action.option_strings[-1], kind, text
 
 
-def test_a_flag_has_one_meaning_one_type_and_one_metavar():
+def test_a_flag_has_the_same_meaning_type_and_metavar_in_all_commands():
     uses_of = {}
     for item in commands(command._parser()).items():
         for name, flag, kind, text in flags_of(item):
@@ -255,7 +255,7 @@ def test_a_former_command_names_its_replacement(capsys):
     assert "film is gone: graycast robot report writes a page" in message and "ffmpeg" in message
 
 
-def test_the_width_in_the_help_is_the_library_s_default():
+def test_the_help_states_the_default_width_of_the_library():
     assert scene_commands.WIDTH_PX == WIDTH_PX
 
 
@@ -296,12 +296,12 @@ def test_help_lists_every_command_and_examples(capsys):
 
 
 @pytest.mark.parametrize("group", ["dataset", "detector", "robot", "rig", "real"])
-def test_a_group_without_a_command_prints_its_help(capsys, group):
+def test_a_group_prints_its_help_without_a_command(capsys, group):
     text = run(capsys, group)
     assert all(f"\n    {name.split()[1]}" in text for name in OPTIONS if f"{group} " in name)
 
 
-def test_the_program_without_a_command_prints_its_help(capsys):
+def test_the_program_prints_its_help_without_a_command(capsys):
     assert run(capsys) == run_help(capsys)
 
 
@@ -345,7 +345,7 @@ def test_the_installed_command_is_this_program_and_prints_its_version():
 
 
 @pytest.mark.slow
-def test_a_closed_pipe_is_no_error():
+def test_a_closed_pipe_causes_no_error():
     """For example, `head` in `graycast ... | head -1` closes the pipe after its line."""
     read, write = os.pipe()
     os.close(read)
@@ -417,7 +417,7 @@ def test_the_estimated_time_ignores_the_first_scene_of_each_worker(
 
 
 @pytest.mark.slow
-def test_generate_reports_what_it_made_and_later_that_all_scenes_exist(
+def test_generate_reports_new_scenes_and_in_a_second_run_that_all_scenes_exist(
     capsys, cell_and_dataset, tmp_path
 ):
     path, out = cell_and_dataset
@@ -474,7 +474,7 @@ def test_preview_draws_the_scene_and_counts_pixels_as_the_dataset_does(
 
 
 @pytest.mark.slow
-def test_parts_lists_the_built_in_parts_or_those_of_a_configuration(capsys, cell_and_dataset):
+def test_the_command_parts_lists_built_in_or_configured_parts(capsys, cell_and_dataset):
     builtin = run(capsys, "parts")
     for name in ("metal_workpiece_1", "toothpaste", "yellow_salt_cube"):
         assert f"\n{name} " in builtin
@@ -570,7 +570,7 @@ def test_rig_list_filters_by_field_distance_and_noise(capsys):
         ("real fit-bin", "--inner", "600,400,200", "give 0.6,0.4,0.2"),
     ],
 )
-def test_a_length_in_millimetres_is_noticed(command, option, value, remedy, capsys):
+def test_a_length_given_in_millimetres_is_detected(command, option, value, remedy, capsys):
     with pytest.raises(SystemExit) as ending:
         main([*command.split(), option, value])
     message = capsys.readouterr().err
@@ -635,13 +635,13 @@ def test_patterns_count_columns_and_rows_in_gray_code(capsys, cell_and_dataset, 
         ("tool", ToolFile),
     ],
 )
-def test_schema_prints_json(capsys, kind, model):
+def test_the_command_schema_prints_json(capsys, kind, model):
     schema = model.model_json_schema()
     assert json.loads(run(capsys, "schema", kind)) == json.loads(json.dumps(schema))
 
 
 @pytest.mark.slow
-def test_doctor_ends_with_its_verdict(capsys, monkeypatch):
+def test_the_last_line_of_doctor_is_its_verdict(capsys, monkeypatch):
     trial = Trial(device="llvm", seconds=0.0, denoiser="cpu")
     monkeypatch.setattr(doctor, "try_device", lambda device: trial)
     assert run(capsys, "doctor").splitlines()[-1].startswith(("ready", "not ready"))

@@ -109,7 +109,7 @@ def test_the_preview_shows_picture_positions_reasons_and_depth(decoded):
 
 
 @pytest.mark.slow
-def test_the_tiles_of_the_preview_are_equal_fill_the_sheet_and_have_units(decoded):
+def test_equal_tiles_with_units_fill_the_sheet_of_the_preview(decoded):
     """Six tiles form two rows of three; every bar has a unit, and all lengths are in mm."""
     figure = decoded[3]
     figure.draw_without_rendering()
@@ -199,9 +199,7 @@ def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_measure_reads_results_of_decode_and_compare_shows_them_next_to_others(
-    decoded, capsys, tmp_path
-):
+def test_measure_reads_results_of_decode_and_compare_shows_several_sets(decoded, capsys, tmp_path):
     rig, _, out, _ = decoded
     camera = rig.camera
     K = f"{camera.fx_px},{camera.fy_px},{camera.cx_px},{camera.cy_px}"
@@ -274,7 +272,7 @@ def test_a_refused_depth_map_leaves_no_output_folder(capsys, tmp_path, array, me
 
 
 @pytest.mark.parametrize("scale", ["0", "-0.001", "nan", "inf", "mm"])
-def test_a_depth_scale_that_is_no_length_is_refused(capsys, scale):
+def test_an_invalid_depth_scale_is_refused(capsys, scale):
     with pytest.raises(SystemExit):
         main(["real", "measure", "z.png", "--scale", scale, "--intrinsics", K_TEXT, "--out", "o"])
     assert "is not a number greater than 0" in capsys.readouterr().err
@@ -401,7 +399,7 @@ def test_a_rig_file_whose_numbers_make_no_scanner_is_refused_on_reading(
     assert f"{path}: {message}" in refused(capsys, "rig", "show", path)
 
 
-def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_path):
+def test_an_offset_above_saturation_is_refused_and_not_clamped(capsys, decoded, tmp_path):
     _, folder, _, _ = decoded
     content = yaml.safe_load((folder / "STACK.yaml").read_text())
     content["levels"] = {"offset_dn": 300, "saturation_dn": 255}
@@ -434,7 +432,7 @@ def test_decoding_the_patterns_themselves_gives_the_projector_pixels(capsys, tmp
 
 
 @pytest.mark.slow
-def test_calibrate_recovers_the_rig(capsys, tmp_path, camera_rays, truth_poses):  # noqa: F811
+def test_the_command_calibrate_recovers_the_rig(capsys, tmp_path, camera_rays, truth_poses):  # noqa: F811
     code = gray(*SIZE, inverses=True)
     stacks = []
     for i, T in enumerate(truth_poses):
@@ -462,7 +460,7 @@ def test_calibrate_recovers_the_rig(capsys, tmp_path, camera_rays, truth_poses):
 
 
 @pytest.mark.slow
-def test_certify_writes_a_sheet(capsys, tmp_path, cpu_device):
+def test_the_command_certify_writes_a_sheet(capsys, tmp_path, cpu_device):
     save_scanner(small_scanner(), tmp_path / "rig.yaml")
     printed = run(capsys, "rig", "certify", tmp_path / "rig.yaml", "--out", tmp_path / "sheet")
     assert "temporal noise" in printed.lower()

@@ -65,7 +65,7 @@ def test_a_wrong_licence_is_refused_before_the_dataset_is_read(capsys, tmp_path)
 
 
 @pytest.mark.slow
-def test_scanner_depth_is_scored_against_the_truth(copied, samples, capsys, tmp_path):  # noqa: F811
+def test_the_depth_of_the_scanner_is_scored_against_the_truth(copied, samples, capsys, tmp_path):  # noqa: F811
     """Oracle: the errors of the written samples."""
     out = tmp_path / "depth"
     with no_pixels():
@@ -106,7 +106,7 @@ EXPORTS = {
 # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 @pytest.mark.parametrize("form", EXPORTS)
-def test_the_options_of_an_export_are_in_its_record(copied, capsys, tmp_path, form):
+def test_an_export_records_its_options(copied, capsys, tmp_path, form):
     words, options = EXPORTS[form]
     out = tmp_path / "export"
     run(capsys, "dataset", "export", copied, "--format", form, "--out", out, *words.split())
@@ -115,7 +115,7 @@ def test_the_options_of_an_export_are_in_its_record(copied, capsys, tmp_path, fo
 
 
 @pytest.mark.parametrize("former", ["bop-imagewise", "webdataset"])
-def test_a_former_format_of_exports_names_the_one_to_take(capsys, former):
+def test_the_error_for_a_former_export_format_names_its_replacement(capsys, former):
     with pytest.raises(SystemExit) as ended:
         main(["dataset", "export", "out", "--format", former, "--out", "export"])
     assert ended.value.code == 2
@@ -142,7 +142,7 @@ def test_maps_of_reasons_are_read_with_depth(capsys, tmp_path):
     assert set(shares) == {"saturated", "shadow"} and len(set(shares.values())) == 1
 
 
-def test_the_options_of_a_rescan_reach_it(capsys, tmp_path, monkeypatch):
+def test_the_options_of_the_command_are_passed_to_the_rescan(capsys, tmp_path, monkeypatch):
     record = {}
 
     def opened(path, options):
@@ -189,14 +189,14 @@ def test_the_options_of_a_rescan_reach_it(capsys, tmp_path, monkeypatch):
         ({"pose": "truth"}, {"pose": "truth"}),
     ],
 )
-def test_the_knowledge_of_a_robot_can_be_set_by_options(tmp_path, words, picking):
+def test_options_select_how_much_the_robot_knows(tmp_path, words, picking):
     path = write_cell(tmp_path, "scenes", robot={"arm": "ur5e", "base_m": [-0.5, 0.0, 0.0]})
     options = Namespace(**{"detector": None, "pose": None, "depth": None, "config": path} | words)
     config = robot_commands._with_options(load_pick_config(path), options)
     assert config.picking.model_dump(mode="json").items() >= picking.items()
 
 
-def test_options_that_no_robot_has_are_refused_in_one_line(tmp_path, capsys):
+def test_impossible_options_of_a_robot_are_refused_in_one_line(tmp_path, capsys):
     path = write_cell(tmp_path, "scenes", robot={"arm": "ur5e", "base_m": [-0.5, 0.0, 0.0]})
     options = Namespace(detector="none", pose=None, depth=None, config=path)
     with pytest.raises(GraycastError) as caught:
@@ -221,9 +221,7 @@ def stopped(capsys, *arguments):
     return capsys.readouterr().err.strip().removeprefix(start)
 
 
-def test_a_preview_that_is_stopped_while_changes_are_tried_is_not_written(
-    capsys, monkeypatch, tmp_path
-):
+def test_a_preview_is_not_written_if_it_is_stopped_during_trials(capsys, monkeypatch, tmp_path):
     """Trying changes takes longer than drawing, which used to come first."""
     manifest = {"part_reasons": {}, "reasons": {}}
     sample = SimpleNamespace(scene=None, layout=None, manifest=manifest)
@@ -307,7 +305,7 @@ def failing(request, monkeypatch, tmp_path):
     return [str(word) for word in (*request.param.split(), *first)]
 
 
-def test_a_failed_try_says_whether_another_follows_and_the_end_lists_what_is_missing(
+def test_a_failed_scene_reports_its_next_attempt_and_the_end_lists_missing_scenes(
     failing, capsys, tmp_path
 ):
     """A failed first try used to be printed as a "failed" bin, which the same run then emptied."""
@@ -320,7 +318,7 @@ def test_a_failed_try_says_whether_another_follows_and_the_end_lists_what_is_mis
 
 
 @pytest.mark.slow
-def test_a_foreign_dataset_is_rescanned_and_shown(capsys, tmp_path):
+def test_a_dataset_of_another_program_is_rescanned_and_shown(capsys, tmp_path):
     split = write_others(tmp_path / "lm", images=(0, 4), rgb=np.full((48, 64, 3), 150, np.uint8))
     out = tmp_path / "out"
     words = "--rig paper --resolution small --images 1 --copy --seed 3 --device cpu".split()
@@ -378,7 +376,7 @@ def test_preview_draws_the_parts_of_a_cell(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_options_of_a_training_reach_it(capsys, monkeypatch, tmp_path):
+def test_the_options_of_the_command_are_passed_to_the_training(capsys, monkeypatch, tmp_path):
     pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
     from graycast.learn import detect
     from graycast.learn.detect import Augmentation, TrainSpec

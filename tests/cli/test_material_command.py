@@ -43,7 +43,7 @@ def run(stack, *words):
 
 
 @pytest.mark.slow
-def test_steel_comes_back_from_a_heap_of_brackets(scene, tmp_path, capsys):
+def test_the_material_of_steel_brackets_is_recovered_from_a_scan(scene, tmp_path, capsys):
     """Oracle: the simulated material, of roughness 0.4 and base colour 0.4."""
     out = tmp_path / "material.yaml"
     white = ("--reference", scene / "white.png", "--reflectance", 0.5)

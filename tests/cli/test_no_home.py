@@ -28,7 +28,7 @@ def _tripled(x):
     return 3 * x
 
 
-def test_one_note_says_that_compiled_code_is_not_kept_and_how_to_keep_it(
+def test_one_note_says_that_compiled_code_is_not_cached_and_how_to_cache_it(
     monkeypatch, tmp_path, capsys
 ):
     file = tmp_path / "file"
@@ -48,7 +48,7 @@ def test_one_note_says_that_compiled_code_is_not_kept_and_how_to_keep_it(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("other_user", [False, True])
-def test_a_command_runs_without_a_home(other_user):
+def test_a_command_runs_without_a_home_folder(other_user):
     """No user can make a folder in /proc, so this also works for root."""
     command = [sys.executable, "-c", PROGRAM]
     if other_user:
@@ -69,7 +69,7 @@ def _source() -> Path:
 
 
 @pytest.mark.slow
-def test_a_scene_is_made_without_a_home(tmp_path):
+def test_a_scene_is_made_without_a_home_folder(tmp_path):
     """Hulls, the trial of the device, Dr.Jit and Matplotlib each have a cache in the home."""
     from small_cell import write_cell
 

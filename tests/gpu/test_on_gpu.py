@@ -71,11 +71,11 @@ def test_the_doctor_renders_and_denoises_a_picture_on_the_gpu():
     assert line.startswith("ok") and "rendered, and denoised on the GPU" in line
 
 
-def test_automatic_choice_takes_the_gpu():
+def test_the_automatic_choice_of_a_device_selects_the_gpu():
     assert choose_device("auto") == "cuda"
 
 
-def test_the_renderers_contract_holds_on_the_gpu():
+def test_the_renderer_on_the_gpu_meets_the_contract_of_renderers():
     """Every test of the contract that a process with this device can run."""
     folder = Path(__file__).resolve().parents[1] / "render/contract"
     command = [
@@ -137,7 +137,7 @@ def in_mm(folder, kind, camera):
     return picture(folder, kind) * scale, scale
 
 
-def test_truth_is_that_of_the_processor(again):
+def test_the_true_labels_equal_those_of_the_processor(again):
     """Rays meet the same triangles: depth to the step of its file, instances pixel by pixel."""
     expected, step_mm = in_mm(again.folder, "depth", "scene_camera.json")
     depth_mm = 1e3 * np.nan_to_num(again.rendering.truth.depth_m)
@@ -150,7 +150,7 @@ def test_truth_is_that_of_the_processor(again):
         assert (mask != (instance == number)).mean() < 1e-5, file.name
 
 
-def test_scanner_depth_is_that_of_the_processor_but_for_rays_that_graze_edges(again):
+def test_scanner_depth_equals_that_of_the_processor_except_at_edges(again):
     """Seeds are the same, so only rounding differs, which decides where a ray meets an edge."""
     other, _ = in_mm(again.folder, "depth_sl", "scene_camera_sl.json")
     one = 1e3 * np.nan_to_num(again.depth_m)
@@ -160,7 +160,7 @@ def test_scanner_depth_is_that_of_the_processor_but_for_rays_that_graze_edges(ag
     assert (np.abs(one - other)[both] > 1.0).mean() < 2e-3
 
 
-def test_the_colour_picture_is_that_of_the_processor_but_for_rounding(again):
+def test_the_colour_picture_equals_that_of_the_processor_except_for_rounding(again):
     """One network denoises on both devices, in 16 bits on a GPU; the seed of the noise is one."""
     other = picture(again.folder, "rgb")[..., ::-1].astype(float)
     one = again.rgb.astype(float)
@@ -173,7 +173,7 @@ def test_a_dataset_made_on_the_gpu_is_valid(on_gpu):
     graycast("validate", on_gpu)
 
 
-def test_a_scene_of_the_gpu_comes_out_the_same_again(on_gpu):
+def test_a_scene_made_on_the_gpu_is_reproducible(on_gpu):
     assert "the same" in graycast("dataset", "rerender", on_gpu, "--device", "cuda")
 
 
@@ -224,7 +224,7 @@ def test_a_detector_is_trained_and_used_on_the_gpu(tmp_path):
     assert (tmp_path / "found").is_dir()
 
 
-def test_a_robot_picks_before_the_gpu_s_scanner(tmp_path):
+def test_a_robot_picks_with_a_scanner_that_runs_on_the_gpu(tmp_path):
     for package in ("pinocchio", "ompl", "toppra"):
         pytest.importorskip(package, reason="needs make extras")
     cell = Path(DEMO).parent / "cells" / "ur5e_suction.yaml"

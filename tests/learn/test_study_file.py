@@ -21,7 +21,7 @@ def written(folder, **changed):
     return path
 
 
-def test_a_folder_has_one_spelling_wherever_the_study_s_file_lies(tmp_path):
+def test_a_folder_has_the_same_path_wherever_the_study_file_is(tmp_path):
     """Otherwise a run started from another study file would look like a different run."""
     (tmp_path / "configs").mkdir()
     training = {"five": ["../sets/a", "./b/../../sets/b"]}

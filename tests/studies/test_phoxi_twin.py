@@ -21,7 +21,7 @@ def run_twin(root: Path, out: Path) -> subprocess.CompletedProcess:
 
 
 @pytest.mark.slow
-def test_without_the_scans_it_stops_in_one_line(tmp_path):
+def test_the_study_stops_with_one_line_if_the_scans_are_missing(tmp_path):
     """The repository of a stranger has no data folder next to it."""
     root = tmp_path / "stranger" / "repository"
     for folder in ("studies", "benchmarks"):

@@ -11,7 +11,7 @@ FILES = sorted((ROOT / "studies").glob("[!_]*.py"))
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_a_study_and_its_pages_name_each_other(file):
+def test_a_study_and_its_pages_link_to_each_other(file):
     tree = ast.parse(file.read_text(encoding="utf-8"))
     work = (ast.Expr, ast.For, ast.While, ast.With)
     assert not [node for node in tree.body[1:] if isinstance(node, work)]

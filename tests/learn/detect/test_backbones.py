@@ -78,7 +78,7 @@ def test_published_weights_give_the_maps_of_the_published_classifier(name):
         slow("resnet18", 5),
     ],
 )
-def test_grey_gives_the_same_maps_in_any_number_of_channels(name, channels):
+def test_a_grey_picture_has_the_same_maps_for_any_number_of_channels(name, channels):
     network = classifier(name)
     body = open_backbone(name, channels=channels).eval()
     load_backbone(body, network.state_dict())
@@ -109,7 +109,7 @@ def test_weights_of_another_backbone_are_refused_and_change_nothing():
     assert all(torch.equal(before[key], value) for key, value in body.state_dict().items())
 
 
-def test_a_backbone_that_does_not_exist_is_named_with_those_that_do():
+def test_the_error_for_an_unknown_backbone_lists_the_known_backbones():
     with pytest.raises(GraycastError, match="no backbone 'vgg': choose one of mobilenet-v3-small"):
         open_backbone("vgg", channels=3)
 
@@ -124,7 +124,7 @@ def test_darknet_has_the_53_layers_and_parameters_of_the_paper():
 
 
 @pytest.mark.slow
-def test_norms_adapt_within_tens_of_steps():
+def test_running_statistics_of_norms_adapt_within_20_steps():
     """After n steps on one picture, the remaining error of the statistics is 0.9^n."""
     body = open_backbone("mobilenet-v3-small", channels=3)
     first = body.features[0][1]

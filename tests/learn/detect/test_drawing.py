@@ -20,7 +20,7 @@ def detections_of(boxes, *, masks=None, score=0.9):
     )
 
 
-def test_scores_of_crowded_detections_do_not_overlap_and_lie_in_the_picture():
+def test_labels_of_crowded_scores_do_not_overlap_and_are_inside_the_picture():
     """Forty centres are closer together than the width of their plates; some are at the border."""
     rng = np.random.default_rng(0)
     centers = rng.uniform((0, 0), (300, 200), (40, 2))
@@ -33,7 +33,7 @@ def test_scores_of_crowded_detections_do_not_overlap_and_lie_in_the_picture():
     assert count.max() == 1
 
 
-def test_a_score_lies_on_its_own_detection_where_there_is_room():
+def test_a_score_is_drawn_on_its_own_detection_if_there_is_room():
     centers = np.array([[100.0, 80.0], [400.0, 90.0]])
     for (x, y), plate in zip(
         centers, plate_places(["0.50", "1.00"], centers, 600, 300), strict=True
@@ -41,12 +41,12 @@ def test_a_score_lies_on_its_own_detection_where_there_is_room():
         assert plate[0] < x < plate[2] and plate[1] < y < plate[3]
 
 
-def test_a_picture_too_small_for_a_score_gets_none():
+def test_no_score_is_drawn_on_a_picture_that_is_too_small():
     assert plate_places(["0.93"], np.array([[5.0, 5.0]]), 10, 10) == [None]
 
 
 @pytest.mark.parametrize("size", [(516, 386), (2064, 1544), (40, 30)])
-def test_a_drawing_is_cut_to_the_detections_and_shows_them_large(size):
+def test_a_drawing_is_cropped_to_the_detections_and_enlarged(size):
     """Parts of a twentieth of the picture's width, in its middle, as a bin in a wide field has."""
     side = size[0] / 20
     boxes = np.array([[0.45 * size[0] + k * side, 0.4 * size[1], side, side] for k in range(3)])
@@ -65,7 +65,7 @@ def test_a_picture_without_detections_is_shown_whole():
     assert drawing.shape == (386 * view.factor, 516 * view.factor, 3)
 
 
-def test_an_outline_lies_on_the_border_of_its_mask_and_differs_from_its_neighbour():
+def test_an_outline_is_on_the_border_of_its_mask_and_has_a_colour_of_its_own():
     """Two squares on grey: colour is only at their borders and at the plates."""
     mask = np.zeros((60, 80), np.uint8)
     mask[20:40, 10:30] = 1
@@ -87,13 +87,13 @@ def test_an_outline_lies_on_the_border_of_its_mask_and_differs_from_its_neighbou
     assert np.abs(rims[0] - rims[1]).max() > 60
 
 
-def test_detections_below_a_half_are_not_drawn():
+def test_detections_with_scores_below_0_5_are_not_drawn():
     grey = np.full((60, 80, 3), 128, np.uint8)
     drawing = draw_detections(grey, detections_of([[10, 20, 20, 20]], score=0.49), {1: "a"})
     assert np.unique(drawing).tolist() == [128]
 
 
-def test_plates_show_the_names_of_parts_if_there_are_several():
+def test_labels_show_the_names_of_parts_if_there_are_several_parts():
     grey = np.full((60, 80, 3), 128, np.uint8)
     one = detections_of([[10, 20, 20, 20]])
     dark = [

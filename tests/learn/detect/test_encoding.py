@@ -22,7 +22,7 @@ def scan(depth_m):
     return Example(scene_id=0, scanner_depth_m=depth_m.astype(np.float32))
 
 
-def test_depth_is_metric_whatever_else_is_in_the_picture():
+def test_encoded_depth_does_not_depend_on_other_objects_in_the_picture():
     """Oracle: the encoding is linear in distance between its limits, equally in every picture."""
     for rest_m in (0.55, 0.7, 0.95, np.nan):
         depth_m = np.full(SIZE, rest_m)
@@ -31,7 +31,7 @@ def test_depth_is_metric_whatever_else_is_in_the_picture():
         np.testing.assert_allclose(channels[0, 10:13, 20], [-1.0, -0.5, 1.0], atol=1e-6)
 
 
-def test_a_smaller_picture_has_the_mean_of_what_is_known_and_its_share():
+def test_a_reduced_picture_has_the_mean_and_the_share_of_known_pixels():
     """Oracle: of four pixels three are at z and one is a hole, so the share is 3/4."""
     depth_m = np.full((128, 192), 0.75 + 0.125)  # encoded 0.5
     depth_m[0::2, 0::2] = np.nan
@@ -64,7 +64,7 @@ def test_relief_is_the_height_above_the_neighbourhood():
     assert risen[21, 48] < 0 and risen[50, 51] == 0
 
 
-def test_colour_is_scaled_as_the_published_backbones_want_it():
+def test_colours_are_scaled_as_published_backbones_require():
     rgb = np.zeros((*SIZE, 3), np.uint8)
     rgb[:, :] = (255, 0, 128)
     channels = Encoding(input="rgb", size_px=SIZE).encode(Example(scene_id=0, rgb=rgb), seed=0)
@@ -90,7 +90,7 @@ def test_the_input_s_sides_are_multiples_of_32(picture, longest, size):
     assert fitting_size(picture, longest) == size
 
 
-def test_noisy_depth_has_the_noise_and_the_holes_that_it_says():
+def test_noisy_depth_has_the_stated_noise_and_holes():
     """Oracle: discs of 5 % of the area that may overlap cover 1 - exp(-0.05); sigma is 1 mm."""
     depth_m = np.full((800, 1000), 0.8, np.float32)
     rough = noisy(depth_m, seed=3)
@@ -100,7 +100,7 @@ def test_noisy_depth_has_the_noise_and_the_holes_that_it_says():
     assert not np.array_equal(rough, noisy(depth_m, seed=4), equal_nan=True)
 
 
-def test_two_pictures_of_one_seed_share_neither_noise_nor_holes():
+def test_two_pictures_with_the_same_seed_have_different_noise_and_holes():
     """Picture 40 of a training had the noise of scene 40 of its validation, and so had all images
     of one scene.
     """
@@ -113,7 +113,7 @@ def test_two_pictures_of_one_seed_share_neither_noise_nor_holes():
     np.testing.assert_array_equal(noisy(near, seed=40) - near, a)
 
 
-def test_an_encoding_comes_back_from_json():
+def test_an_encoding_is_read_back_from_json():
     encoding = deep(holes="far", relief=True)
     assert encoding_from({**asdict(encoding), "size_px": list(SIZE)}) == encoding
 
@@ -133,7 +133,7 @@ def test_an_impossible_encoding_is_refused(changed, message):
         deep(**changed)
 
 
-def test_a_picture_that_is_not_there_is_named():
+def test_a_missing_picture_is_named():
     with pytest.raises(GraycastError, match="scene 0 has no scanner depth"):
         deep().encode(Example(scene_id=0), seed=0)
 

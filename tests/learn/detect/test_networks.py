@@ -91,7 +91,7 @@ def test_detections_have_the_promised_form(model, ready):
 
 @pytest.mark.slow
 @EVERY
-def test_limits_remove_only_the_last_detections(model, ready):
+def test_limits_remove_only_the_detections_with_the_lowest_scores(model, ready):
     """`most` and `least_score` shorten the list and leave the other entries unchanged."""
     network = ready(model)
     images, _ = pictures()
@@ -152,7 +152,7 @@ def test_pictures_without_parts_give_a_finite_loss_and_gradients(model):
 
 @pytest.mark.slow
 @FIRST
-def test_saved_weights_find_the_same_parts(model, ready, tmp_path):
+def test_a_network_with_saved_weights_detects_the_same_parts(model, ready, tmp_path):
     first, second = ready(model), opened(model, seed=9).eval()
     torch.save(first.state_dict(), tmp_path / "weights.pt")
     second.load_state_dict(torch.load(tmp_path / "weights.pt", weights_only=True))
@@ -207,14 +207,14 @@ def test_every_channel_affects_the_loss(model, channels):
 
 
 @pytest.mark.parametrize("model", LIBRARIES)
-def test_a_library_that_is_not_installed_is_named_with_what_installs_it(model):
+def test_a_library_that_is_not_installed_is_named_with_its_installation_command(model):
     if find_spec(LIBRARIES[model]) is not None:
         pytest.skip(f"{LIBRARIES[model]} is installed")
     with pytest.raises(GraycastError, match=f"model {model} needs {LIBRARIES[model]}.*pip install"):
         network_class(model)(channels=3, classes=2, backbone=None, size_px=SIZE_PX)
 
 
-def test_right_classes_score_1_and_wrong_ones_nearly_0():
+def test_right_classes_score_1_and_wrong_classes_score_nearly_0():
     """The score is 1 if all is found, and 0 for masks with exchanged classes."""
     _, targets = pictures()
     right = [
@@ -228,13 +228,13 @@ def test_right_classes_score_1_and_wrong_ones_nearly_0():
 
 
 # Largest numbers of steps over four pictures; training ends sooner once they are learnt. Mask R-CNN
-# and YOLOv3 have the harder test `test_it_learns_what_is_drawn`, on pictures that they never saw.
+# and YOLOv3 have a harder test in test_training.py, on pictures that they never saw.
 STEPS = {"solov2": 80, "yolov7": 120}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", STEPS)
-def test_four_pictures_are_learnt_by_heart(model):
+def test_a_network_memorises_four_pictures(model):
     """Oracle: average precision by pycocotools; a network that cannot do this learns nothing."""
     size_px = (128, 128)
     network = opened(model, size_px=size_px)

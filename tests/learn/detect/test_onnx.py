@@ -51,7 +51,7 @@ for image in (torch.randn(1, 3, 96, 128), torch.zeros(1, 3, 96, 128)):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["mask-rcnn", "yolov3"])
-def test_onnxruntime_finds_what_torch_finds_in_other_pictures(tmp_path, model):
+def test_onnxruntime_and_torch_detect_the_same_parts_in_new_pictures(tmp_path, model):
     tests = Path(__file__).resolve().parents[2]
     command = [sys.executable, "-W", "ignore", "-c", CHECK, str(tests), model]
     subprocess.run([*command, str(tmp_path / "detector.onnx")], check=True)
@@ -70,7 +70,7 @@ class Session:
 @pytest.mark.parametrize(
     ("moved_px", "dimmed", "agrees"), [(0.0, 0.0, True), (1.0, 0.0, False), (0.0, 0.01, False)]
 )
-def test_a_file_that_finds_other_things_is_refused(moved_px, dimmed, agrees):
+def test_an_onnx_file_with_different_detections_is_refused(moved_px, dimmed, agrees):
     box = torch.tensor([[0.0, 0.0, 9.0, 9.0], [20.0, 20.0, 40.0, 30.0]])
     label, score = torch.tensor([0, 1]), torch.tensor([0.9, 0.4])
     session = Session(box.numpy() + moved_px, label.numpy(), score.numpy() - dimmed)

@@ -143,7 +143,7 @@ CASES = pytest.mark.parametrize(
 
 @pytest.mark.slow
 @CASES
-def test_maps_are_those_of_mmdetection(model, backbone, answers):
+def test_feature_maps_equal_those_of_mmdetection(model, backbone, answers):
     case, answer = answers(model, backbone)
     with torch.no_grad():
         ours = with_their_weights(model, backbone, answer["state"])(case["image"])
@@ -160,7 +160,7 @@ def test_maps_are_those_of_mmdetection(model, backbone, answers):
 
 @pytest.mark.slow
 @CASES
-def test_each_term_of_the_loss_is_that_of_mmdetection(model, backbone, answers):
+def test_each_term_of_the_loss_equals_that_of_mmdetection(model, backbone, answers):
     case, answer = answers(model, backbone)
     network = with_their_weights(model, backbone, answer["state"])
     targets = [
@@ -179,7 +179,7 @@ def test_each_term_of_the_loss_is_that_of_mmdetection(model, backbone, answers):
 
 @pytest.mark.slow
 @CASES
-def test_detections_are_those_of_mmdetection(model, backbone, answers):
+def test_detections_equal_those_of_mmdetection(model, backbone, answers):
     case, answer = answers(model, backbone)
     network = with_their_weights(model, backbone, answer["state"])
     limit = torch.tensor([WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX])

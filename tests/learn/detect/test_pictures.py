@@ -65,7 +65,7 @@ def block(*, rows, columns, visib_fract=1.0):
     )
 
 
-def test_picture_mask_and_box_move_together(tmp_path):
+def test_augmentation_moves_picture_mask_and_box_together(tmp_path):
     """Oracle: the block's own pixels in the moved picture, found by their height."""
     pictures = one(block(rows=(30, 50), columns=(40, 75)), tmp_path, zoom=1.5, depth_shift=0.0)
     corners = set()
@@ -84,7 +84,7 @@ def test_picture_mask_and_box_move_together(tmp_path):
     assert len(corners) > 15  # The box moved between the pictures.
 
 
-def test_without_augmentation_a_picture_is_the_encoded_one(tmp_path):
+def test_a_picture_without_augmentation_equals_the_encoded_picture(tmp_path):
     example = block(rows=(30, 50), columns=(40, 75))
     image, target = one(example, tmp_path)[0]
     expected = DEPTH.encode(example, seed=0).astype(np.float16).astype(np.float32)
@@ -93,7 +93,7 @@ def test_without_augmentation_a_picture_is_the_encoded_one(tmp_path):
     np.testing.assert_array_equal(target.mask.numpy(), example.mask)
 
 
-def test_a_draw_depends_only_on_seed_epoch_and_picture(tmp_path):
+def test_augmentation_depends_only_on_seed_epoch_and_picture(tmp_path):
     pictures = one(block(rows=(30, 50), columns=(40, 75)), tmp_path, zoom=1.5)
     first = pictures.at(3)[0][0]
     pictures.at(4)[0]

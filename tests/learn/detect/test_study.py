@@ -75,7 +75,7 @@ def normal(value, sigma, seed):
     return BootstrapFigure(value=value, draws=draws, scenes=1000)
 
 
-def test_the_variance_of_a_gap_is_the_sum_of_both_variances(tmp_path):
+def test_the_variance_of_a_difference_is_the_sum_of_the_two_variances(tmp_path):
     """Oracle: 0.03 and 0.04 make 0.05; the interval of a normal figure is 1.96 of it either way."""
     run = StudyRun(
         model=ModelSection(model="yolov3"),
@@ -99,7 +99,7 @@ def test_the_variance_of_a_gap_is_the_sum_of_both_variances(tmp_path):
     assert json.loads((tmp_path / "study.json").read_text())["rows"][0]["own"] == 0.8
 
 
-def test_each_dataset_of_a_world_has_its_own_row(tmp_path):
+def test_each_dataset_of_a_world_has_its_own_row_in_the_table(tmp_path):
     run = StudyRun(
         model=ModelSection(model="yolov3"), input="rgb",
         encoding=EncodingSection(name="default"), training="drawn", seed=0,
@@ -120,7 +120,7 @@ def test_each_dataset_of_a_world_has_its_own_row(tmp_path):
     assert "0.80 [" in table[: table.index("## Each")]
 
 
-def test_the_mean_of_sets_is_more_certain_than_each():
+def test_the_mean_over_sets_has_a_smaller_error_than_each_set():
     """Oracle: four independent figures of one spread have half of it in their mean."""
     four = mean([normal(0.5, 0.04, seed) for seed in range(4)]).interval
     assert four.value == pytest.approx(0.5)

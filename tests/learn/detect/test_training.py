@@ -64,7 +64,7 @@ def same(a: dict, b: dict) -> bool:
 
 
 @pytest.mark.slow
-def test_one_seed_gives_one_detector_and_another_gives_another(dataset, tmp_path):
+def test_equal_seeds_give_equal_detectors_and_other_seeds_give_other_detectors(dataset, tmp_path):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         train([dataset], tmp_path / name, replace(SMALL, seed=seed))
     assert same(weights(tmp_path / "a"), weights(tmp_path / "b"))
@@ -72,7 +72,7 @@ def test_one_seed_gives_one_detector_and_another_gives_another(dataset, tmp_path
 
 
 @pytest.mark.slow
-def test_a_run_holds_what_its_readers_need(dataset, tmp_path):
+def test_a_run_has_all_files_that_its_readers_need(dataset, tmp_path):
     train([dataset], tmp_path / "run", SMALL)
     rows = (tmp_path / "run" / "history.csv").read_text().splitlines()
     assert rows[0].startswith("epoch,step,loss") and len(rows) == 1 + SMALL.epochs
@@ -99,7 +99,7 @@ def test_a_finished_run_is_not_trained_again(dataset, tmp_path):
     assert (run / "history.csv").read_text() == history and (run / "curves.png").is_file()
 
 
-def test_the_learning_rate_rises_straight_and_falls_as_a_cosine():
+def test_the_learning_rate_rises_linearly_and_falls_as_a_cosine():
     """Oracle: its values at the ends, at the top and half way down."""
     assert _shape(0.05) == pytest.approx(1.0)
     assert _shape(0.025) == pytest.approx(0.5)
@@ -109,7 +109,7 @@ def test_the_learning_rate_rises_straight_and_falls_as_a_cosine():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["yolov3", pytest.param("mask-rcnn", marks=pytest.mark.slow)])
-def test_detections_of_a_run_come_back_from_files(dataset, run, tmp_path, model):
+def test_detections_of_a_run_are_read_back_from_files(dataset, run, tmp_path, model):
     """The files hold the detections of the detector, in pixels of the pictures."""
     if model == SMALL.model:
         detector = load_detector(run)
@@ -126,7 +126,7 @@ def test_detections_of_a_run_come_back_from_files(dataset, run, tmp_path, model)
 
 
 @pytest.mark.slow
-def test_the_processor_s_arithmetic_is_left_as_it_was(dataset, run, tmp_path):
+def test_training_restores_the_arithmetic_of_the_processor(dataset, run, tmp_path):
     """SciPy's k-d tree recurses without end if denormal differences are flushed to zero."""
     torch.set_flush_denormal(False)
     example = open_examples(dataset)[0]
@@ -138,7 +138,7 @@ def test_the_processor_s_arithmetic_is_left_as_it_was(dataset, run, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("model", "epochs"), [("mask-rcnn", 14), ("yolov3", 40)])
-def test_it_learns_what_is_drawn(tmp_path, model, epochs):
+def test_a_trained_detector_recognises_shapes_in_unseen_pictures(tmp_path, model, epochs):
     """AP is high on unseen pictures; a detector with a wrong scale of boxes has almost 0."""
     dataset = write_shapes(tmp_path, 40, seed=3)
     spec = replace(
@@ -166,7 +166,7 @@ def command(dataset, out, *, epochs=8):
 
 
 @pytest.mark.slow
-def test_a_killed_training_ends_with_the_same_weights(dataset, tmp_path, monkeypatch):
+def test_a_killed_training_continues_to_the_same_weights(dataset, tmp_path, monkeypatch):
     """Kill the run (kill -9) at three different points, each time before the same command."""
     subprocess.run(command(dataset, tmp_path / "whole"), check=True, capture_output=True)
     run, killed = tmp_path / "killed", 0
@@ -205,7 +205,7 @@ def refusal(capsys, *arguments) -> str:
 
 
 @pytest.mark.slow
-def test_impossible_trainings_are_refused_in_one_line(dataset, tmp_path, capsys):
+def test_invalid_trainings_are_refused_in_one_line(dataset, tmp_path, capsys):
     """Each mistake names the thing and the remedy."""
     options = f"{SMALL_NETWORK} --epochs 1 --batch 2".split()
     out = tmp_path / "run"
@@ -263,7 +263,7 @@ OTHER = {
 }
 
 
-def test_every_setting_is_in_the_claim_of_a_run_or_changes_no_weight(tmp_path):
+def test_every_setting_that_changes_weights_is_in_the_claim_of_a_run(tmp_path):
     small = replace(SMALL, augmentation=NO_AUGMENTATION)
     changed = {name: _settings(replace(small, **{name: value})) for name, value in OTHER.items()}
     for name in ("a", "b"):
@@ -299,7 +299,7 @@ def test_a_training_is_not_resumed_with_changed_data(dataset, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_path):
+def test_a_training_that_fails_at_the_start_does_not_occupy_its_folder(dataset, tmp_path):
     """Train with a misspelt backbone, then with the right one in the same folder."""
     for changed in ({"backbone": "vgg"}, {"weights": tmp_path / "nowhere.pth"}):
         with pytest.raises(GraycastError):
@@ -310,7 +310,7 @@ def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_pat
     train([dataset], tmp_path / "run", SMALL)
 
 
-def test_files_half_written_by_a_killed_training_are_removed_by_the_next(tmp_path):
+def test_partial_files_of_a_killed_training_are_removed_by_the_next_training(tmp_path):
     """The first file is included, although no other file marks the folder as a training's."""
     for left in (".tmp-run.json-dead", ".tmp-checkpoint.pt-dead"):
         run = RunFolder(tmp_path)
@@ -333,7 +333,7 @@ def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
     train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
 
 
-def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run, monkeypatch):
+def test_the_network_is_timed_in_the_arithmetic_used_for_detection(dataset, run, monkeypatch):
     """Both timings use mixed precision if available, and no denormals, so they compare."""
     monkeypatch.setattr(
         "graycast.learn.detect.detector.autocast",
@@ -357,7 +357,7 @@ def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run,
     ("capabilities", "mixed"),
     [({"avx512_bf16": True}, True), ({"amx_bf16": True}, True), ({"avx512_f": True}, False)],
 )
-def test_a_processor_trains_in_bfloat16_where_it_has_it(
+def test_a_processor_that_supports_bfloat16_trains_in_bfloat16(
     dataset, tmp_path, monkeypatch, capabilities, mixed
 ):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities, raising=False)
@@ -457,7 +457,7 @@ def test_a_former_name_of_a_network_names_the_example_that_replaces_it(capsys):
 
 
 @pytest.mark.slow
-def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
+def test_a_loss_of_nan_stops_the_training(dataset, tmp_path):
     with pytest.raises(GraycastError, match=r"the loss is not a number after \d+ steps: lower"):
         train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
 
@@ -488,7 +488,7 @@ def test_weights_that_do_not_fit_the_network_are_refused(run, tmp_path):
         load_detector(tmp_path)
 
 
-def test_a_disk_that_refuses_the_encoded_pictures_is_named(tmp_path, monkeypatch):
+def test_a_file_for_encoded_pictures_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -563,7 +563,7 @@ def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
     assert code == 0 and "note: scene 0: " in output.out and "holes that were filled" in output.out
 
 
-def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):
+def test_a_dataset_with_other_parts_is_refused(run, tmp_path, capsys):
     other = write_shapes(tmp_path, 2)
     for name in ("graycast.json", "train_coco.json"):
         text = (other / name).read_text()

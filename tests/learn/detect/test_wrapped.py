@@ -8,7 +8,7 @@ from .test_networks import opened, pictures, settled, total
 
 
 @pytest.mark.slow
-def test_yolov7_has_the_loss_of_libreyolo():
+def test_the_loss_of_yolov7_equals_that_of_libreyolo():
     network = opened("yolov7").eval()
     images, targets = pictures()
     ours = total(network, images, targets)[1]
@@ -32,7 +32,7 @@ def test_yolov7_has_the_loss_of_libreyolo():
 
 
 @pytest.mark.slow
-def test_yolov7_finds_the_boxes_of_libreyolo():
+def test_yolov7_detects_the_same_boxes_as_libreyolo():
     network = settled(opened("yolov7"))
     torch.manual_seed(4)
     for end in network.network.layers[-1].heads:  # Untrained heads score everything low.
@@ -67,6 +67,6 @@ def test_yolov7_finds_the_boxes_of_libreyolo():
 
 
 @pytest.mark.slow
-def test_yolov7_anchors_are_the_published_ones_at_the_published_size():
+def test_yolov7_anchors_equal_the_published_anchors_at_the_published_size():
     network = opened("yolov7", size_px=(640, 640))
     assert network.anchors_px[0] == [12, 16, 19, 36, 40, 28]

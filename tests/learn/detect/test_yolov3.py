@@ -19,7 +19,7 @@ def test_anchors_grow_with_the_picture(size_px, scale):
     torch.testing.assert_close(network.anchor_px.reshape(-1, 2), expected)
 
 
-def test_overlapping_boxes_leave_the_surest_cut_at_the_picture():
+def test_only_the_best_of_overlapping_boxes_is_kept_and_cut_at_the_border():
     """The second box overlaps the first by 121 / 225, the third by 100 / 225; 0.45 is too
     much. The fourth reaches beyond a picture of 100 x 50 pixels."""
     box = [[-5, -5, 10, 10], [-1, -1, 10, 10], [0, 0, 10, 10], [40, 20, 120, 70]]

@@ -59,7 +59,7 @@ def row(name: str, shares, *, sigma_m=0.0002, seconds=0.5, feature_m=0.003) -> S
     return row_of(placed(Setting(code=name)), heaps)
 
 
-def test_only_settings_off_the_front_are_dominated():
+def test_settings_are_dominated_exactly_if_they_are_not_on_the_front():
     """A law of the front, checked by comparing all pairs one by one."""
     values = np.random.default_rng(5).integers(0, 6, (60, 3)).astype(float)
     front = on_front(values)
@@ -73,13 +73,13 @@ def test_only_settings_off_the_front_are_dominated():
     assert 0 < sum(front) < 60
 
 
-def test_a_setting_without_figures_is_on_no_front_and_equal_ones_are_on_it_together():
+def test_equal_settings_share_the_front_and_a_setting_without_figures_is_not_on_it():
     assert on_front(np.array([[0.5, 1.0, 1.0], [0.5, 1.0, 1.0]])) == [True, True]
     assert on_front(np.array([[math.nan, 0.0, 0.0], [0.5, 1.0, 1.0]])) == [False, True]
 
 
 @pytest.mark.slow
-def test_the_interval_of_a_mean_holds_it_19_times_in_20():
+def test_intervals_contain_the_true_mean_19_times_in_20():
     """Oracle: the meaning of 95 %; 2000 experiments of 4 normal values have a standard error of
     0.5 %. A heap that could not be made is left out."""
     rng = np.random.default_rng(2)
@@ -102,7 +102,7 @@ def test_settings_are_compared_heap_by_heap():
     assert best.measured.high - best.measured.value == pytest.approx(half)
 
 
-def test_the_best_is_the_one_that_measures_most_within_the_needs():
+def test_the_best_setting_measures_most_among_those_that_meet_the_needs():
     rows = [
         row("noisy", [0.9, 0.9], sigma_m=0.0009),
         row("slow", [0.8, 0.8], seconds=3.0),
@@ -117,7 +117,7 @@ def test_the_best_is_the_one_that_measures_most_within_the_needs():
     assert meets(just, rows[2])  # The limit itself is allowed.
 
 
-def test_the_sentence_says_what_to_buy_and_where_to_put_it():
+def test_the_summary_names_the_best_rig_and_its_position():
     rows = [row("fine", [0.92, 0.91, 0.93]), row("gray", [0.80, 0.79, 0.81])]
     text = sentences(spec(layouts=3), rows)
     assert text.startswith(
@@ -134,7 +134,7 @@ def test_the_sentence_says_what_to_buy_and_where_to_put_it():
     )
 
 
-def test_the_sentence_says_when_nothing_meets_the_needs():
+def test_the_summary_says_if_no_setting_meets_the_needs():
     rows = [row("a", [0.9], sigma_m=0.0004), row("b", [0.8], sigma_m=0.0006)]
     text = sentences(spec(needs=NeedsSection(sigma_m=0.0001), layouts=1), rows)
     assert text == (
@@ -145,7 +145,7 @@ def test_the_sentence_says_when_nothing_meets_the_needs():
     assert "Warning" not in sentences(spec(layouts=4), rows)
 
 
-def test_what_is_missing_comes_with_the_largest_share_first():
+def test_reasons_for_missing_surface_are_sorted_by_share():
     assert row("a", [0.6]).missing() == [
         (Fate.PART_SHADOW, pytest.approx(0.3)),
         (Fate.DARK, pytest.approx(0.1)),

@@ -83,13 +83,13 @@ def test_the_result_of_a_code_does_not_depend_on_other_codes(study, tmp_path):
     assert alone == beside
 
 
-def test_two_workers_write_what_one_writes(study, tmp_path):
+def test_two_workers_write_the_same_files_as_one_worker(study, tmp_path):
     path, out = study
     assert run(path, tmp_path / "two", "--workers", 2, "--threads", 1) == 0
     assert content(tmp_path / "two") == content(out)
 
 
-def test_a_killed_study_goes_on_and_comes_out_the_same(study, tmp_path):
+def test_a_killed_study_continues_to_the_same_results(study, tmp_path):
     path, out = study
     running = start("rig", "design", path, "--out", tmp_path / "out")
     try:
@@ -107,7 +107,7 @@ def test_a_killed_study_goes_on_and_comes_out_the_same(study, tmp_path):
     assert content(tmp_path / "out") == content(out)
 
 
-def test_more_settings_and_heaps_are_added_and_what_is_there_stays(tmp_path, capsys):
+def test_added_settings_and_heaps_keep_the_existing_results(tmp_path, capsys):
     path = write_study(tmp_path, layouts=1, sweeps=[{"distance_m": [0.6]}])
     assert run(path, tmp_path / "out") == 0
     first = tmp_path / "out/settings/0.6m/000.json"
@@ -128,7 +128,7 @@ def test_more_settings_and_heaps_are_added_and_what_is_there_stays(tmp_path, cap
     )
 
 
-def test_two_runs_do_not_write_one_folder(study):
+def test_two_runs_cannot_write_to_the_same_folder(study):
     from graycast.score.design.result_files import open_design
 
     _, out = study

@@ -50,7 +50,7 @@ def test_sigma_grows_with_the_square_of_the_distance(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_what_a_wall_shades_is_not_measured_and_all_else_is(mitsuba_renderer):
+def test_only_surfaces_in_the_shadow_of_a_wall_are_not_measured(mitsuba_renderer):
     """Oracle: the same triangle as without light; here the decoder found the shadow's end, too."""
     baseline_m, height_m, rim_m = 0.4, 0.8, 0.06
     rig = make_rig(centred(400, 300, 500), centred(900, 700, 600), baseline_m=(baseline_m, 0, 0))
@@ -64,7 +64,7 @@ def test_what_a_wall_shades_is_not_measured_and_all_else_is(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_a_cube_of_the_smallest_features_side_is_seen_and_one_of_a_third_is_not(mitsuba_renderer):
+def test_the_smallest_feature_is_resolved_and_a_third_of_its_size_is_not(mitsuba_renderer):
     """Seen: on all 4 pixels at least whose whole area is inside its top, depth is above the plate
     by more than 3 sigma. A cube of a third of the side covers a pixel at most."""
     height_m = 0.6

@@ -35,7 +35,7 @@ def write_study(folder: Path, *without: str, cell=None, **changes) -> Path:
     return path
 
 
-def test_a_sweep_is_all_combinations_and_a_study_is_all_sweeps(tmp_path):
+def test_a_sweep_has_all_combinations_and_a_study_has_all_sweeps(tmp_path):
     sweeps = [
         {"distance_m": [0.6, 0.9], "tilt_deg": [0, 20]},
         {"rig": ["rig.yaml", "like-phoxi-m"], "baseline_m": [0.2], "code": ["gray"]},
@@ -61,7 +61,7 @@ def test_scanners_of_the_shelf_are_compared_by_name(tmp_path):
 
 
 @pytest.mark.slow
-def test_codes_and_exposures_share_their_light(tmp_path):
+def test_settings_that_differ_in_code_or_exposure_share_their_light(tmp_path):
     sweeps = [
         {"distance_m": [0.6, 0.9], "code": ["gray", "phase"], "exposure": ["one", "two"]},
         {"distance_m": [0.6]},
@@ -71,7 +71,7 @@ def test_codes_and_exposures_share_their_light(tmp_path):
     assert [len(group) for group in lights] == [5, 4]
 
 
-def test_a_setting_hangs_its_rig_where_it_says(tmp_path):
+def test_the_rig_is_at_the_distance_and_tilt_of_its_setting(tmp_path):
     """Oracle: the baseline's midpoint has the set distance and tilt, seen from the target."""
     spec = read_design(write_study(tmp_path, sweeps=[{"distance_m": [0.8], "tilt_deg": [20]}]))
     (placed,) = place_settings(spec, settings_of(spec))
@@ -83,7 +83,7 @@ def test_a_setting_hangs_its_rig_where_it_says(tmp_path):
 
 
 @pytest.mark.slow
-def test_every_key_of_a_setting_reaches_its_cell(tmp_path):
+def test_every_key_of_a_setting_changes_its_cell(tmp_path):
     sweeps = [
         {
             "rig": ["like-phoxi-m"], "resolution": ["small"], "baseline_m": [0.2],
@@ -160,7 +160,7 @@ def test_an_impossible_setting_is_left_out_and_named(tmp_path):
         ),
     ],
 )
-def test_a_bad_study_is_refused_in_one_line(tmp_path, capsys, changes, words):
+def test_an_invalid_study_is_refused_in_one_line(tmp_path, capsys, changes, words):
     path = write_study(tmp_path, **changes)
     assert_refused(capsys, path, tmp_path / "out", words)
 
@@ -176,7 +176,7 @@ def test_a_bad_study_is_refused_in_one_line(tmp_path, capsys, changes, words):
         ),
     ],
 )
-def test_a_cell_that_no_study_can_have_is_refused_in_one_line(tmp_path, capsys, cell, words):
+def test_a_cell_unsuitable_for_studies_is_refused_in_one_line(tmp_path, capsys, cell, words):
     assert_refused(capsys, write_study(tmp_path, cell=cell), tmp_path / "out", words)
 
 
@@ -187,7 +187,7 @@ def test_a_study_without_its_cell_is_refused_in_one_line(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
+def test_a_folder_of_other_files_is_refused(tmp_path, capsys):
     path, out = write_study(tmp_path), tmp_path / "out"
     out.mkdir()
     (out / "holiday.jpg").touch()

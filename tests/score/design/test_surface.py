@@ -62,7 +62,7 @@ def share_of(kinds, surface, which) -> float:
     ("rim_m", "baseline_m", "height_m"),
     [(0.03, 0.25, 0.6), (0.08, 0.5, 0.6), (0.03, 0.5, 1.2), (0.08, 0.25, 1.2)],  # all combinations
 )
-def test_a_wall_throws_the_shadow_of_similar_triangles(rim_m, baseline_m, height_m):
+def test_the_shadow_of_a_wall_follows_similar_triangles(rim_m, baseline_m, height_m):
     """Oracle: a projector at x = b, H above the plate, and a rim h high at x = l / 2 leave dark
     what lies nearer to that wall than h (b - l / 2) / (H - h)."""
     rig = make_rig(centred(600, 500, 400), centred(900, 700, 500), baseline_m=(baseline_m, 0, 0))
@@ -93,7 +93,7 @@ def test_a_place_that_a_wall_hides_from_the_camera_is_not_a_shadow():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("height_m", [0.42, 0.55])
-def test_a_camera_sees_its_field_of_view_and_no_more(height_m):
+def test_a_camera_sees_only_points_in_its_field_of_view(height_m):
     """Oracle: a picture of w x h pixels covers (w z / f) (h z / f) of a plane at z."""
     camera = centred(150, 90, 300)
     rig = make_rig(camera, centred(900, 700, 300), baseline_m=(0.05, 0, 0))
@@ -105,7 +105,7 @@ def test_a_camera_sees_its_field_of_view_and_no_more(height_m):
 
 
 @pytest.mark.slow
-def test_points_weigh_as_much_as_their_area_from_above():
+def test_points_are_weighted_by_their_area_from_above():
     """Oracle: under a cone of 0 degrees the weights times the area are the plate's silhouette; its
     sides and its underside weigh nothing. A wider cone sees its top by the mean cosine."""
     rig = make_rig(centred(600, 500, 400), centred(900, 700, 500))
@@ -223,7 +223,7 @@ def plate_figures(
         (0.0, Reason.OUT_OF_RANGE, Fate.OUT_OF_RANGE),
     ],
 )
-def test_every_place_has_one_fate(error_m, reason, fate):
+def test_every_surface_point_has_exactly_one_fate(error_m, reason, fate):
     record = plate_figures(error_m, reason)
     assert record["share"][fate] == pytest.approx(1.0)
     assert sum(record["share"].values()) == pytest.approx(1.0)
@@ -298,7 +298,7 @@ def one_point(camera, projector, *, weight=(1.0,)):
     return surface, view
 
 
-def test_figures_weigh_points_by_their_area_from_above():
+def test_figures_weight_points_by_their_area_from_above():
     """Seen weight is 0.7, measured weight 0.5, of which 0.4 is 0.2 mm too far away."""
     surface, view = one_point(VISIBLE, VISIBLE, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
     fates = (Fate.MEASURED, Fate.MEASURED, Fate.DARK, Fate.HIDDEN_BY_PARTS, Fate.MEASURED)

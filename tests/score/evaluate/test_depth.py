@@ -43,7 +43,7 @@ def plane_z(ray, normal):
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, LENS])
 @pytest.mark.parametrize("tilt_deg", [0, 30, 60])
-def test_a_plane_is_met_at_the_angle_between_its_normal_and_the_ray(tilt_deg, distortion):
+def test_the_angle_of_incidence_is_between_normal_and_ray(tilt_deg, distortion):
     """Oracle: the plane's own normal; the code has only the depths."""
     ray = ray_of_pixels(distortion)
     turn = np.radians(tilt_deg)
@@ -98,7 +98,7 @@ def scene(tilt_deg, *, error_steps, missing, scale_mm=0.1):
     )
 
 
-def test_bias_noise_spikes_and_holes_come_out_as_put_in():
+def test_known_bias_noise_spikes_and_holes_are_measured():
     """Noise of 4 steps of 0.1 mm about +0.3 mm, one pixel in fifty 2 mm and more off, a tenth
     missing; the tilt is chosen so that all angles lie within 40 to 70 degrees."""
     rng = np.random.default_rng(3)
@@ -120,7 +120,7 @@ def test_bias_noise_spikes_and_holes_come_out_as_put_in():
     assert sum(row.pixels for row in tables["parts"]) == 120 * 80
 
 
-def test_scenes_in_other_depth_steps_add_up():
+def test_scenes_with_different_depth_steps_are_combined():
     none = np.zeros(SIZE, bool)
     coarse = scene(10, error_steps=np.full(SIZE, 2), missing=none, scale_mm=0.1)
     fine = scene(10, error_steps=np.full(SIZE, 4), missing=none, scale_mm=0.05)
@@ -129,7 +129,7 @@ def test_scenes_in_other_depth_steps_add_up():
     assert all(row.error.median_mm == pytest.approx(0.2, abs=1e-9) for row in known)
 
 
-def test_a_dataset_is_read_and_its_tables_written(master, tmp_path):
+def test_depth_tables_of_a_dataset_are_written(master, tmp_path):
     meter = Metered()
     tables = evaluate_depth(master, progress=meter)
     assert meter.counts == [("scenes", k, 4) for k in range(1, 5)]

@@ -79,7 +79,7 @@ def refusal(capsys, *arguments):
 
 
 @pytest.mark.slow
-def test_the_truth_as_detections_scores_one_in_every_file(master, results, tmp_path, capsys):
+def test_true_labels_as_detections_score_one_in_every_file(master, results, tmp_path, capsys):
     out = tmp_path / "out"
     with no_pixels():
         assert evaluated(results, "--on", master, "--out", out, "--resamples", 50) == 0
@@ -108,7 +108,7 @@ def test_the_truth_as_detections_scores_one_in_every_file(master, results, tmp_p
 
 
 @pytest.mark.slow
-def test_what_is_missed_and_false_comes_as_sheets_and_counts(master, tmp_path):
+def test_missed_parts_and_false_alarms_are_drawn_on_sheets_and_counted(master, tmp_path):
     detections = perfect(master)
     one = detections[0]
     moved = one.box_px + np.array([[40, 0, 0, 0]], np.float32)
@@ -133,7 +133,7 @@ def test_what_is_missed_and_false_comes_as_sheets_and_counts(master, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_s_own_scenes_are_judged_and_its_division_is_taken(master, tmp_path):
+def test_the_scenes_of_a_run_are_judged_with_its_division_into_sets(master, tmp_path):
     whole = open_examples(master)
     division = Split(shares=(0.5, 0.0, 0.5), seed=1)
     test = open_examples(master, split="test", division=division).scene_ids
@@ -147,7 +147,7 @@ def test_a_run_s_own_scenes_are_judged_and_its_division_is_taken(master, tmp_pat
 
 
 @pytest.mark.slow
-def test_an_export_is_judged_as_the_dataset_it_was_made_of(master, exported, tmp_path):
+def test_an_export_has_the_scores_of_its_dataset(master, exported, tmp_path):
     fewer = tmp_path / "results.json"
     fewer.write_bytes(results_bytes(perfect(master, SCENES[:3])))
     own, export = (evaluation_of(fewer, on, kind="mask") for on in (master, exported("coco")))
@@ -156,7 +156,7 @@ def test_an_export_is_judged_as_the_dataset_it_was_made_of(master, exported, tmp
 
 
 @pytest.mark.slow
-def test_a_run_over_all_sets_of_an_export_is_judged_whole(master, exported, tmp_path):
+def test_all_scenes_are_judged_if_a_run_has_all_sets_of_an_export(master, exported, tmp_path):
     export = exported("coco", split=Split(shares=(0.5, 0.0, 0.5), seed=1))
     run = written_run(tmp_path / "run", perfect(master), split=None)
     record = evaluation_json(evaluation_of(run, export))
@@ -166,7 +166,7 @@ def test_a_run_over_all_sets_of_an_export_is_judged_whole(master, exported, tmp_
 
 
 @pytest.mark.slow
-def test_equal_results_differ_by_nothing_and_one_class_forgets_the_parts(master, results, tmp_path):
+def test_equal_results_differ_by_zero_and_swapped_classes_score_zero(master, results, tmp_path):
     swapped = json.loads(results.read_bytes())
     for entry in swapped:
         entry["category_id"] = 3 - entry["category_id"]  # the dataset's parts are 1 and 2
@@ -222,7 +222,7 @@ RUNS = {"size": [120, 160], "counts": "0"}
         ),
     ],
 )
-def test_a_file_that_is_no_results_of_the_dataset_is_named_with_the_reason(
+def test_results_that_do_not_fit_the_dataset_are_refused_with_the_reason(
     master, tmp_path, capsys, text, words
 ):
     path, out = tmp_path / "results.json", tmp_path / "out"
@@ -268,7 +268,7 @@ def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys
     assert "holds no earlier result of this command" in message_of(boxes)
 
 
-def test_what_is_written_is_read_back_to_the_last_bit(tmp_path):
+def test_written_results_are_read_back_to_the_last_bit(tmp_path):
     """Scores and edges in single precision are written with as many digits as tell them apart."""
     rng = np.random.default_rng(0)
     score = np.sort(rng.random(200, np.float32))[::-1].copy()
@@ -288,7 +288,7 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path):
     assert list(read.mask) == list(detections.mask)
 
 
-def test_uncompressed_masks_without_boxes_are_read_as_others_write_them(tmp_path):
+def test_uncompressed_masks_without_boxes_are_read(tmp_path):
     mask = np.zeros((1, 6, 5), bool)
     mask[0, 2:5, 1:4] = True
     counts = [8, 3, 3, 3, 3, 3, 7]  # down the columns: by hand

@@ -18,7 +18,7 @@ PLACES = [(12 * (i % 5), 12 * (i // 5)) for i in range(15)]
 
 @pytest.mark.parametrize("kind", ["box", "mask"])
 @pytest.mark.parametrize("seed", [1, 10, 16])
-def test_a_draw_scores_as_pycocotools_scores_the_drawn_scenes(kind, seed):
+def test_a_bootstrap_draw_has_the_score_of_pycocotools_for_the_same_scenes(kind, seed):
     """Return the drawn scenes as separate images; some appear several times."""
     # With even seeds, scores have one digit, and many of them are equal.
     random_set = RandomSet.of_seed(seed)
@@ -44,7 +44,7 @@ def interval(scenes, *, seed, name="ar"):
     return with_intervals(scores, draw_scenes(scores.scene_of, seed=seed))[name]
 
 
-def test_one_seed_gives_one_interval_and_another_seed_nearly_the_same():
+def test_the_interval_is_reproducible_and_hardly_depends_on_the_seed():
     rng = np.random.default_rng(0)
     scenes = [bin_of(i, rng, share=rng.uniform(0.4, 1)) for i in range(30)]
     first, again, other = (interval(scenes, seed=seed) for seed in (1, 1, 2))
@@ -55,7 +55,7 @@ def test_one_seed_gives_one_interval_and_another_seed_nearly_the_same():
 
 
 @pytest.mark.parametrize(("scenes", "t"), [(3, 4.303), (5, 2.776), (12, 2.201), (60, 2.001)])
-def test_normal_draws_of_a_mean_have_the_interval_of_student(scenes, t):
+def test_normal_draws_of_a_mean_have_students_interval(scenes, t):
     """Oracle: mean +- t s / sqrt(n), t from a printed table; the bootstrap's spread of the mean is
     s sqrt((n - 1) / n) / sqrt(n). Five standard errors of the quantile of 200,000 draws."""
     spread = np.sqrt((scenes - 1) / scenes / scenes)  # for s = 1
@@ -107,13 +107,13 @@ def test_equal_scores_do_not_move_the_draws_away_from_the_estimate():
     assert abs(np.mean(apart)) < 0.01
 
 
-def test_draws_with_nothing_to_find_are_left_out():
+def test_draws_without_a_score_do_not_change_the_interval():
     draws = np.where(np.arange(400) % 2 == 0, np.nan, np.linspace(0, 1, 400))
     assert interval_of(0.5, draws, 30) == interval_of(0.5, draws[1::2], 30)
     assert np.isnan(interval_of(0.5, np.full(9, np.nan), 30).low)
 
 
-def test_equal_results_differ_by_exactly_nothing():
+def test_equal_results_differ_by_exactly_zero():
     random_set = RandomSet.of_seed(2)
     scores = score(random_set.labels, random_set.detections, kind="mask")
     for one in differences(scores, scores, draw_scenes(range(4), seed=0)).values():
@@ -158,7 +158,7 @@ def test_one_scene_has_no_interval():
     assert np.isnan(one.high)
 
 
-def test_results_of_other_scenes_are_not_compared():
+def test_results_for_different_scenes_are_not_compared():
     random_set = RandomSet.of_seed(2)
     scores = score(random_set.labels, random_set.detections, kind="box")
     fewer = score(random_set.labels[:3], random_set.detections[:3], kind="box")
@@ -192,14 +192,14 @@ def with_mistakes(scene_id, rng):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("scenes", "least"), [(5, 0.90), (20, 0.925)])
-def test_95_of_100_intervals_of_recall_hold_the_known_mean(scenes, least):
+def test_95_of_100_intervals_of_recall_contain_the_known_mean(scenes, least):
     """The mean is 0.7 by construction. 600 sets: two standard errors of 95 % are 1.8 %."""
     share = coverage(600, scenes=scenes, figure="ar", truth=0.7, make=uneven)
     assert least <= share <= 0.975
 
 
 @pytest.mark.slow
-def test_95_of_100_intervals_of_average_precision_hold_that_of_many_scenes():
+def test_95_of_100_intervals_of_average_precision_contain_its_value_for_many_scenes():
     """AP is not a mean over scenes, so the AP of 6,000 scenes approximates its limit."""
     rng = np.random.default_rng(99)
     many = [with_mistakes(i, rng) for i in range(6000)]

@@ -25,7 +25,7 @@ def rows(judgement, by):
     return {row.name: row for row in judgement.rows if row.by == by}
 
 
-def test_instances_of_another_visibility_are_neither_to_find_nor_mistakes():
+def test_instances_of_another_visibility_are_ignored():
     """Two instances are hardly visible; one of these is missed, and all others are found."""
     labels = squares(0, FOUR, visible=[0.2, 0.25, 0.95, 1.0])
     detections = detected_squares(0, [FOUR[0], *FOUR[2:]], [0.9, 0.8, 0.7])
@@ -45,7 +45,7 @@ def test_a_mistake_counts_in_every_group_of_visibility():
     assert by["10 to 30 %"].figures["ap"].value == pytest.approx(2 / 3, abs=1e-12)
 
 
-def test_missing_depth_groups_the_instances():
+def test_instances_are_grouped_by_their_missing_depth():
     labels = replace(squares(0, FOUR), missing=np.array([0.0, 0.1, 0.6, 1.0]))
     by = rows(judgement_of(labels, detected_squares(0, FOUR[:2], [0.9, 0.8])), "missing depth")
     assert [row.to_find for row in by.values()] == [1, 1, 0, 2]
@@ -55,7 +55,7 @@ def test_missing_depth_groups_the_instances():
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", ["mask", "box"])
-def test_sizes_score_as_pycocotools_area_ranges(seed, kind):
+def test_scores_by_size_equal_those_of_pycocotools_area_ranges(seed, kind):
     """Oracle: areaRng of pycocotools, whose instances' area is here set to that of what is judged.
 
     Its ranges hold both ends; no drawn area is exactly an end of ours.
@@ -73,7 +73,7 @@ def test_sizes_score_as_pycocotools_area_ranges(seed, kind):
 
 
 @pytest.mark.parametrize("decimals", [9, 1])
-def test_the_working_point_has_the_best_f1_of_all_scores(decimals):
+def test_the_working_point_has_the_highest_f1(decimals):
     """Oracle: count at every score as threshold. No threshold separates equal scores."""
     random_set = RandomSet.of_seed(11, scenes=6)
     detections = [replace(one, score=one.score.round(decimals)) for one in random_set.detections]
@@ -94,7 +94,7 @@ def test_the_working_point_has_the_best_f1_of_all_scores(decimals):
     assert point.precision == pytest.approx(hits / (hits + len(alarms)))
 
 
-def test_every_mistake_says_what_it_is():
+def test_every_mistake_has_its_kind():
     labels = squares(0, FOUR, obj_id=[1, 1, 2, 1], visible=[1, 1, 1, 0.5])
     places = [FOUR[0], FOUR[0], FOUR[2], (24, 0), (40, 30)]
     detections = detected_squares(0, places, [0.9, 0.8, 0.7, 0.6, 0.5], obj_id=[1, 1, 1, 1, 2])

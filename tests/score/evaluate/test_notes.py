@@ -26,7 +26,7 @@ def notes_of(places, scores):
 
 
 @pytest.mark.slow
-def test_the_range_of_ap_is_that_of_all_orders_of_the_file():
+def test_the_range_of_ap_covers_all_orders_of_equal_scores():
     """Oracle: every order of six equal scores, scored one by one."""
     detections = detected_squares(0, [*PLACES, *WRONG], np.ones(6))
     every = []
@@ -49,6 +49,6 @@ def test_equal_scores_that_move_ap_are_noted():
     assert notes_of(PLACES, np.ones(4)) == []  # All orders of hits alone are equally good.
 
 
-def test_doubled_entries_are_counted():
+def test_repeated_entries_are_counted():
     (note,) = notes_of([*PLACES, *PLACES[:3]], [0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3])
     assert note.startswith("3 detections repeat another one")

@@ -24,13 +24,13 @@ def moved(T, rotvec=(0, 0, 0), shift=(0, 0, 0)):
     return rigid(T[:3, :3] @ R, T[:3, 3] + np.array(shift))
 
 
-def test_a_shift_is_the_mssd_of_any_part():
+def test_the_mssd_of_a_shifted_pose_is_the_shift():
     for shift in ([0, 0, 0.004], [0.003, -0.004, 0.012]):
         off = mssd(moved(TRUE, shift=shift), TRUE, CUBE, ALONE)
         assert off == pytest.approx(np.linalg.norm(shift), rel=1e-12)
 
 
-def test_a_turn_moves_the_farthest_vertex_along_a_chord():
+def test_the_error_of_a_rotation_is_the_chord_of_the_farthest_vertex():
     """Oracle: 2 r sin(angle / 2), where r is the largest distance of a vertex from the axis."""
     angle = 0.4
     off = mssd(moved(TRUE, rotvec=[0, 0, angle]), TRUE, CUBE, ALONE)
@@ -47,20 +47,20 @@ def test_a_rotation_about_the_axis_of_symmetry_is_no_error():
     assert angle <= np.pi / 315 and shift < 1e-12
 
 
-def test_a_half_turn_counts_only_where_the_part_has_none():
+def test_a_half_turn_is_an_error_unless_the_part_has_that_symmetry():
     turned = moved(TRUE, rotvec=[0, 0, np.pi], shift=[0, 0, 0.001])
     assert mssd(turned, TRUE, CUBE, HALF_TURN) == pytest.approx(0.001, rel=1e-9)
     assert rotation_translation(turned, TRUE, HALF_TURN) == pytest.approx((0, 0.001), abs=1e-9)
     assert rotation_translation(turned, TRUE, ALONE)[0] == pytest.approx(np.pi)
 
 
-def test_small_angles_are_exact():
+def test_small_angles_are_measured_exactly():
     angle = 1e-6
     off = rotation_translation(moved(TRUE, rotvec=[0, angle, 0]), TRUE, ALONE)[0]
     assert off == pytest.approx(angle, rel=1e-6)
 
 
-def test_a_shift_sideways_is_seen_as_focal_length_over_depth():
+def test_the_mspd_of_a_sideways_shift_is_scaled_by_focal_length_over_depth():
     """One vertex at depth z: f t / z pixels, scaled from 320 to 640 columns."""
     point, T = np.zeros((1, 3)), rigid(np.eye(3), np.array([0.0, 0.0, 0.8]))
     for shift, f_px in (([0.004, 0, 0], 400.0), ([0, 0.004, 0], 500.0)):
@@ -68,14 +68,14 @@ def test_a_shift_sideways_is_seen_as_focal_length_over_depth():
         assert off == pytest.approx(f_px * 0.004 / 0.8 * 640 / 320, rel=1e-12)
 
 
-def test_a_shift_along_the_ray_is_not_seen_in_the_middle():
+def test_a_shift_along_the_ray_has_no_mspd_in_the_middle_of_the_picture():
     point, T = np.zeros((1, 3)), rigid(np.eye(3), np.array([0.0, 0.0, 0.8]))
     assert mspd(moved(T, shift=[0, 0, 0.1]), T, point, ALONE, CAMERA) == pytest.approx(0)
     behind = rigid(np.eye(3), np.array([0.0, 0.0, -0.8]))
     assert mspd(behind, T, point, ALONE, CAMERA) == np.inf
 
 
-def test_mspd_is_the_least_over_symmetries_of_the_greatest_over_vertices():
+def test_mspd_is_the_minimum_over_symmetries_of_the_maximum_over_vertices():
     """Oracle: the definition in plain NumPy, without early termination."""
     estimate = moved(TRUE, rotvec=[0.1, 0.2, 2.9], shift=[0.002, 0.001, 0.01])
     focal, middle = [400.0, 500.0], [160.0, 120.0]
@@ -106,7 +106,7 @@ def surface(rows, z, shape=(10, 10)):
     return depth_m
 
 
-def test_vsd_counts_pixels_that_only_one_sees_and_those_too_far_apart():
+def test_vsd_counts_pixels_of_only_one_pose_and_pixels_with_too_different_distances():
     """True rows 0 to 5, estimate rows 2 to 7 at 12 mm more: 4 of 8 rows are shared."""
     true, estimate = surface(np.s_[0:6], 0.8), surface(np.s_[2:8], 0.812)
     floor = np.full((10, 10), np.nan)  # nothing measured: all is visible
@@ -118,7 +118,7 @@ def test_vsd_equal_to_the_tolerance_is_an_error():
     np.testing.assert_array_equal(vsd(estimate, true, true, np.array([0.125, 0.126])), [1, 0])
 
 
-def test_vsd_leaves_out_what_something_hides():
+def test_vsd_ignores_hidden_pixels():
     """Rows 0 and 1 are hidden by a surface 16 mm in front, but not by one at 14 mm."""
     true = surface(np.s_[0:4], 0.8)
     estimate = surface(np.s_[2:4], 0.8)
@@ -136,7 +136,7 @@ def test_a_part_in_front_of_the_measured_surface_is_visible():
     np.testing.assert_allclose(vsd(estimate, shared, np.full((10, 10), 0.8), TAUS), 0.5)
 
 
-def test_an_estimate_behind_the_measured_surface_is_seen_where_the_true_part_is():
+def test_an_estimate_behind_the_measured_surface_is_visible_at_pixels_of_the_true_part():
     """In BOP, the visibility mask of the estimate includes the true part's visible pixels."""
     true, estimate = surface(np.s_[0:4], 0.8), surface(np.s_[0:4], 0.83)
     error = vsd(estimate, true, np.full((10, 10), 0.8), np.array([0.02, 0.04]))
@@ -146,6 +146,6 @@ def test_an_estimate_behind_the_measured_surface_is_seen_where_the_true_part_is(
     np.testing.assert_array_equal(vsd(combined, true, np.full((10, 10), 0.8), TAUS), [0, 0, 0])
 
 
-def test_the_error_is_one_where_no_pixel_is_visible():
+def test_the_error_is_one_if_no_pixel_is_visible():
     nothing = np.full((10, 10), np.nan)
     np.testing.assert_array_equal(vsd(nothing, nothing, nothing, TAUS), [1, 1, 1])

@@ -22,7 +22,7 @@ from graycast.world.parts import Mesh, Symmetry
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
-def test_the_surest_estimate_chooses_first():
+def test_the_estimate_with_the_highest_score_is_matched_first():
     """It takes the instance that fits it best, though the second would have needed it."""
     error = np.array([[0.1, 0.3], [0.2, 0.9]])
     assert matched(error, 0.5) == [(0, 0)]
@@ -58,7 +58,7 @@ def estimates(truth, shift_m=(0.0, 0.0, 0.0)):
     ]  # fmt: skip
 
 
-def test_the_truth_is_found_by_every_criterion(scene):
+def test_true_poses_count_as_correct_by_every_criterion(scene):
     for one in count_picture(scene[0], estimates(scene[0]), scene[1]):
         assert one.to_find > 0
         for hit in (one.vsd, one.mssd, one.mspd, one.near):
@@ -66,7 +66,7 @@ def test_the_truth_is_found_by_every_criterion(scene):
         np.testing.assert_allclose(one.angle_rad, 0, atol=1e-7)
 
 
-def test_a_shift_is_found_from_the_thresholds_above_it_on(scene):
+def test_a_shifted_pose_is_correct_only_for_thresholds_above_the_shift(scene):
     """MSSD is the shift; thresholds are 5 % of the diameter apart, and one at the shift fails."""
     truth, solids = scene
     shift = 0.22 * min(solid.diameter_m for solid in solids.values())
@@ -78,7 +78,7 @@ def test_a_shift_is_found_from_the_thresholds_above_it_on(scene):
         np.testing.assert_allclose(one.shift_m, shift, rtol=1e-6)
 
 
-def test_only_as_many_estimates_count_as_there_are_instances(scene):
+def test_the_number_of_counted_estimates_is_limited_to_the_number_of_instances(scene):
     """Surer wrong ones push right ones out."""
     truth, solids = scene
     wrong = [
@@ -110,7 +110,7 @@ def counted(truth, solids, T):
     return count_picture(truth, [estimate], solids)[0]
 
 
-def test_a_distance_is_that_of_the_part_s_middle():
+def test_the_distance_is_measured_to_the_middle_of_the_part():
     """Turned by 4 degrees about its middle, the origin, 100 mm aside, moves by 7 mm."""
     middle = np.array([0.1, 0.0, 0.0])
     T = rigid(np.eye(3), np.array([-0.1, 0.0, 1.0]))
@@ -152,7 +152,7 @@ def whole(dataset, shift_m=(0.0, 0.0, 0.0)):
 
 
 @pytest.mark.slow
-def test_the_command_writes_figures_of_all_and_of_each_part(master, tmp_path, capsys):
+def test_the_command_writes_figures_for_all_parts_and_for_each_part(master, tmp_path, capsys):
     results, out = tmp_path / "poses.csv", tmp_path / "scores"
     results.write_text(pose_results_text(whole(master)))
     assert main(["robot", "score-poses", str(results), "--on", str(master), "--out", str(out)]) == 0
@@ -168,7 +168,7 @@ def test_the_command_writes_figures_of_all_and_of_each_part(master, tmp_path, ca
     assert "| all |" in capsys.readouterr().out
 
 
-def test_recall_is_of_all_instances_to_find(master, tmp_path):
+def test_recall_is_a_share_of_all_instances_to_find(master, tmp_path):
     """Half of the poses left out at random: AR is the share that is left."""
     shifted = whole(master)
     half = [
@@ -200,7 +200,7 @@ def test_results_of_another_dataset_are_refused(master, tmp_path, change, messag
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "in metres"), (1 / 25.4, "another unit")])
-def test_poses_of_another_unit_are_refused_with_the_right_one(master, tmp_path, factor, unit):
+def test_poses_in_a_wrong_unit_are_refused_and_the_unit_is_named(master, tmp_path, factor, unit):
     scaled = [
         PoseEstimate(
             scene_id=one.scene_id, im_id=0, obj_id=one.obj_id, score=0.9,
@@ -214,7 +214,7 @@ def test_poses_of_another_unit_are_refused_with_the_right_one(master, tmp_path, 
         evaluate_poses(results, master, protocol=Protocol(draws=50))
 
 
-def test_detections_are_sent_to_the_command_that_scores_them(master, tmp_path, capsys):
+def test_detections_are_refused_with_the_command_that_scores_them(master, tmp_path, capsys):
     arguments = ["robot", "score-poses", str(tmp_path), "--on", str(master), "--out", str(tmp_path)]
     assert main(arguments) == 1
     assert "score detections with graycast detector score" in capsys.readouterr().err

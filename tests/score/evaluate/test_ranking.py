@@ -23,7 +23,7 @@ def test_the_area_is_mann_and_whitney_s_u():
     assert roc_auc(score, success) == pytest.approx(u / (success.sum() * (~success).sum()))
 
 
-def test_the_area_is_that_under_the_curve():
+def test_the_area_equals_the_integral_under_the_curve():
     """Oracle: true over false positives at every threshold, by trapezia; ties make slopes."""
     rng = np.random.default_rng(0)
     success = rng.random(400) < 0.4
@@ -34,13 +34,13 @@ def test_the_area_is_that_under_the_curve():
     assert roc_auc(score, success) == pytest.approx(np.trapezoid(true, false), rel=1e-12)
 
 
-def test_without_failures_nothing_is_ranked():
+def test_the_area_is_nan_without_failures():
     figure = roc_auc_of_scenes(np.ones(4), np.ones(4, bool), np.arange(4), seed=0)
     assert np.isnan([figure.value, figure.low, figure.high]).all()
 
 
 @pytest.mark.slow
-def test_the_interval_holds_the_truth_as_often_as_it_says():
+def test_the_interval_contains_the_truth_at_its_stated_rate():
     """Two normal laws one deviation apart: the area is Phi(1 / sqrt 2) = 0.760."""
     rng = np.random.default_rng(1)
     inside = 0
@@ -53,7 +53,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says():
 
 
 @pytest.mark.slow
-def test_scenes_that_agree_in_themselves_make_the_interval_wider():
+def test_correlation_within_scenes_widens_the_interval():
     """Four equal grips in each scene leave fewer independent grips than four different ones."""
     rng = np.random.default_rng(2)
     success = np.repeat(rng.random(40) < 0.5, 4)

@@ -32,19 +32,19 @@ def test_perfect_detections_score_exactly_one(kind):
     assert ap_of_class(scores) == {1: 1.0}
 
 
-def test_a_false_alarm_below_all_hits_costs_nothing():
+def test_a_false_alarm_with_the_lowest_score_does_not_lower_ap():
     scores = one_scene(detected_squares(0, [*FOUR, (40, 30)], [0.9, 0.8, 0.7, 0.6, 0.5]))
     assert scores.ap == 1.0
 
 
-def test_a_false_alarm_above_all_hits_costs_its_place():
+def test_a_false_alarm_with_the_highest_score_lowers_ap():
     """Precisions at the hits are 1/2, 2/3, 3/4, 4/5; the highest to the right is 4/5 everywhere."""
     scores = one_scene(detected_squares(0, [(40, 30), *FOUR], [0.99, 0.9, 0.8, 0.7, 0.6]))
     assert scores.ap == pytest.approx(4 / 5, abs=1e-12)
     assert scores.ar == 1.0
 
 
-def test_half_found_is_51_of_101_recalls():
+def test_ap_is_51_of_101_if_half_of_the_instances_are_detected():
     """Recall 0.5 is the 51st of COCO's recalls 0, 0.01, ..., 1; precision is 1 up to it."""
     scores = one_scene(detected_squares(0, FOUR[:2], [0.9, 0.8]))
     assert scores.ap == pytest.approx(51 / 101, abs=1e-12)
@@ -57,7 +57,7 @@ def test_a_second_detection_of_the_same_instance_is_a_mistake():
     assert scores.ap == pytest.approx((26 + 75 * 4 / 5) / 101, abs=1e-12)
 
 
-def test_an_overlap_between_two_thresholds_counts_below_it_alone():
+def test_an_overlap_between_two_thresholds_is_a_hit_only_for_the_lower_threshold():
     """A square of 8 px shifted by one: 7/9 = 0.78 is enough for 0.50 to 0.75, six of ten."""
     scores = one_scene(detected_squares(0, [(1, 0)], [0.9]), labels=squares(0, [(0, 0)]))
     assert (scores.ap50, scores.ap75) == (1.0, 1.0)
@@ -65,7 +65,7 @@ def test_an_overlap_between_two_thresholds_counts_below_it_alone():
     assert scores.ar == pytest.approx(0.6, abs=1e-12)
 
 
-def test_what_is_ignored_need_not_be_found_and_finding_it_twice_is_no_mistake():
+def test_detections_of_ignored_instances_are_neither_required_nor_mistakes():
     labels = squares(0, FOUR, visible=[0.05, 1, 1, 1])
     missed = one_scene(detected_squares(0, FOUR[1:], [0.9, 0.8, 0.7]), labels=labels)
     places = [FOUR[0], FOUR[0], *FOUR[1:]]
@@ -74,7 +74,7 @@ def test_what_is_ignored_need_not_be_found_and_finding_it_twice_is_no_mistake():
     assert missed.to_find == 3
 
 
-def test_a_detection_inside_something_ignored_is_no_mistake():
+def test_a_detection_inside_an_ignored_crowd_is_no_mistake():
     """COCO's crowd rule: the detection covers 1/4 of the instance but lies fully inside it."""
     labels = squares(0, [(0, 0), (20, 0)], visible=[0.05, 1], side=8)
     small = detected_squares(0, [(0, 0)], [0.99], side=4)
@@ -104,14 +104,14 @@ def test_classes_without_instances_are_left_out_of_the_average():
     assert np.isnan(ap_of_class(scores)[3])
 
 
-def test_nothing_found_is_zero_and_nothing_to_find_is_nan():
+def test_the_score_is_zero_without_detections_and_nan_without_instances():
     assert ours(one_scene(detected_squares(0, [], []))).tolist() == [0.0] * 4
     nothing = one_scene(detected_squares(0, FOUR, [0.9] * 4), labels=squares(0, []))
     assert np.isnan(ours(nothing)).all()
     assert np.isnan(ours(one_scene(detected_squares(0, [], []), labels=squares(0, [])))).all()
 
 
-def test_a_full_bin_needs_more_than_the_100_detections_of_coco():
+def test_more_than_100_detections_of_a_full_bin_are_scored():
     """255 parts all found: of the best 100 recall is 100/255, so 40 of 101 recalls are reached."""
     places = [(3 * (i % 20), 3 * (i // 20)) for i in range(255)]
     labels = squares(0, places, side=2)
@@ -136,18 +136,18 @@ def compared(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_random_sets_score_as_by_pycocotools(seed):
+def test_scores_of_random_sets_equal_those_of_pycocotools(seed):
     compared(seed)
 
 
 @pytest.mark.slow
-def test_200_random_sets_score_as_by_pycocotools():
+def test_scores_of_200_random_sets_equal_those_of_pycocotools():
     for seed in range(10, 210):
         compared(seed)
 
 
 @pytest.mark.slow
-def test_random_sets_score_as_by_faster_coco_eval():
+def test_scores_of_random_sets_equal_those_of_faster_coco_eval():
     """A second judge that shares no code with pycocotools' matching."""
     faster = pytest.importorskip(
         "faster_coco_eval", reason="needs faster-coco-eval: pip install 'graycast[test]'"
@@ -167,7 +167,7 @@ def test_random_sets_score_as_by_faster_coco_eval():
         np.testing.assert_allclose(ours(scores), figures(*theirs), rtol=0, atol=1e-9)
 
 
-def test_the_order_of_the_scenes_does_not_matter():
+def test_the_order_of_the_scenes_does_not_change_the_score():
     random_set = RandomSet.of_seed(3)
     forth = score(random_set.labels, random_set.detections, kind="box")
     back = score(
@@ -195,7 +195,7 @@ def test_labels_and_detections_of_other_scenes_are_refused(labels, detections, w
         )
 
 
-def test_masks_are_needed_to_compare_masks():
+def test_scoring_by_masks_without_masks_is_refused():
     detections = detected_squares(0, FOUR, [0.9] * 4)
     with pytest.raises(GraycastError, match="detections have no masks: score boxes"):
         one_scene(replace(detections, mask=None))
@@ -210,7 +210,7 @@ def test_masks_of_another_picture_size_are_refused():
         one_scene(detected_squares(0, FOUR, [0.9] * 4), labels=labels)
 
 
-def test_labels_of_an_example_know_what_is_hidden_and_where_depth_is_missing():
+def test_labels_of_an_example_have_visibility_and_the_share_of_missing_depth():
     mask = np.zeros((2, *SIZE_PX), bool)
     mask[0, :4, :4], mask[1, 10:14, 10:20] = True, True
     depth_m = np.ones(SIZE_PX, np.float32)

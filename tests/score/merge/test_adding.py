@@ -38,7 +38,7 @@ def reasons(T, depth_m, true_m, reason=None):
     return surface, why_not(surface, measured, points_of(measured), truth)
 
 
-def test_a_camera_over_an_edge_measures_the_two_faces_that_it_sees():
+def test_a_camera_above_an_edge_measures_the_two_visible_faces():
     """Oracle: the camera sees two of the six faces of a cube."""
     T = from_above(-0.5, 0.0, 0.5)
     true_m = cube_depth(T)
@@ -51,7 +51,7 @@ def test_a_camera_over_an_edge_measures_the_two_faces_that_it_sees():
     assert len(why) == pytest.approx(6000, abs=6) and up.mean() == pytest.approx(1 / 6, abs=0.01)
 
 
-def test_a_place_in_front_of_the_picture_or_behind_something_is_no_fault_of_the_scanner():
+def test_points_outside_the_view_or_hidden_are_not_losses_of_the_scanner():
     T = from_above(0.0, 0.0, 0.3)
     T[0, 3] = 0.11  # beside the cube, a part of which is outside the picture
     plane_m = plane_depth(T, UP, 0.1, FINE)  # a sheet over the cube
@@ -59,7 +59,7 @@ def test_a_place_in_front_of_the_picture_or_behind_something_is_no_fault_of_the_
     assert set(why.tolist()) == {HIDDEN, OUTSIDE}
 
 
-def test_a_hole_has_the_scanners_reason_and_a_wrong_depth_is_marked_wrong():
+def test_a_hole_has_the_reason_of_the_scanner_and_a_wrong_depth_is_marked_as_wrong():
     T = from_above(0.0)
     true_m = cube_depth(T)
     depth_m = true_m.copy()
@@ -79,7 +79,7 @@ def test_a_hole_has_the_scanners_reason_and_a_wrong_depth_is_marked_wrong():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_each_step_of_the_order_adds_as_much_as_any_view_could(seed):
+def test_each_next_view_adds_the_largest_possible_share(seed):
     """Oracle: sets and brute force; all views together have what their union has."""
     rng = np.random.default_rng(seed)
     has = rng.random((5, 40)) < rng.uniform(0.1, 0.6, (5, 1))
@@ -101,7 +101,7 @@ def test_equal_views_keep_their_order():
     assert best_order(np.ones((3, 4), dtype=bool)) == ((0, 1, 2), (4, 0, 0))
 
 
-def test_shares_of_the_surface_are_counted_view_by_view():
+def test_shares_of_the_surface_are_counted_for_each_view():
     """Five of eight surface points are visible; one of these five is not measured by any view."""
     why = np.array([[0, 0, 0, 2, 2], [0, 2, HIDDEN, 0, WRONG]], dtype=np.uint8)
     record = surface_figures(SurfaceCoverage(why=why, of=8), ["left", "right"], {2: "saturated"})

@@ -30,7 +30,7 @@ def test_sigma_of_equal_views_falls_with_the_root_of_their_number(count):
     assert scatter_m == pytest.approx(SIGMA_M / np.sqrt(count), rel=4 / np.sqrt(2 * inner.sum()))
 
 
-def test_a_slanted_plane_seen_from_two_sides_comes_back_within_its_stated_sigma():
+def test_a_fused_slanted_plane_is_correct_within_its_stated_sigma():
     """Oracle: errors over stated sigma have a variance of one."""
     rng, normal = np.random.default_rng(7), np.array([0.2, -0.1, 1.0]) / np.sqrt(1.05)
     places = [from_above(-0.45), from_above(0.4, 0.3, 0.9)]
@@ -67,7 +67,7 @@ def test_a_point_seen_by_several_views_is_in_the_cloud_once():
     assert (cloud.first_reason == 0).all()
 
 
-def test_of_two_views_the_one_with_smaller_pixels_on_the_surface_has_its_places():
+def test_the_view_with_the_smaller_pixels_on_the_surface_determines_the_points():
     """The near one leans by 60 degrees: its pixel covers 0.9^2 / cos 60 = 1.6 of the other's."""
     upright, leaning = from_above(0.0), from_above(0.9 * np.sin(np.pi / 3), z_m=0.45)
     views = [view(plane_depth(T, UP, 0.0), T, SIGMA_M) for T in (leaning, upright)]
@@ -93,7 +93,7 @@ def test_a_flying_point_that_another_view_sees_through_is_rejected():
 
 
 @pytest.mark.slow
-def test_what_one_view_hides_from_another_contradicts_nothing():
+def test_a_point_hidden_from_another_view_is_not_rejected():
     """Each view sees an area of the plane that the ball hides from the other view."""
     places = [from_above(-0.5), from_above(0.5)]
     ball = [sphere_depth(T, (0.0, 0.0, 0.1), 0.06, FINE) for T in places]
@@ -135,7 +135,7 @@ def test_two_sides_of_a_thin_sheet_stay_separate():
     assert (fuse(views).cloud.views == 1).all()
 
 
-def test_a_view_without_any_depth_adds_nothing():
+def test_a_view_without_depth_adds_no_points():
     T = from_above(0.0)
     dark = view(np.full((60, 80), np.nan), T, SIGMA_M, reason=1)
     fused = fuse([dark, view(plane_depth(T, UP, 0.0), T, SIGMA_M)])

@@ -21,7 +21,7 @@ def merged(master, tmp_path_factory):  # noqa: F811
 
 
 @pytest.mark.slow
-def test_the_cloud_of_one_view_is_its_depth_in_the_world(merged, samples):  # noqa: F811
+def test_the_cloud_of_one_view_is_its_depth_in_world_coordinates(merged, samples):  # noqa: F811
     """Oracle: the depth of the sample, back-projected with the camera matrix."""
     sample = samples[3]
     lines, cloud, count = read_vertices(merged / "train-000003.ply")
@@ -38,7 +38,7 @@ def test_the_cloud_of_one_view_is_its_depth_in_the_world(merged, samples):  # no
     )
 
 
-def test_its_surface_is_measured_where_the_depth_is(merged):
+def test_the_surface_counts_as_measured_at_pixels_with_depth(merged):
     record = json.loads((merged / "merge.json").read_text())
     (surface,) = record["surfaces"]
     (view,) = surface["views"]
@@ -52,7 +52,7 @@ def test_its_surface_is_measured_where_the_depth_is(merged):
     assert 0.1 < surface["visible"] < 0.6 and view["measured"] > 0.5
 
 
-def test_one_scene_can_be_merged_alone(master, merged, tmp_path, capsys):  # noqa: F811
+def test_a_single_scene_can_be_merged(master, merged, tmp_path, capsys):  # noqa: F811
     assert (
         main(["dataset", "merge", str(master / "train" / "000004"), "--out", str(tmp_path / "one")])
         == 0
@@ -63,7 +63,7 @@ def test_one_scene_can_be_merged_alone(master, merged, tmp_path, capsys):  # noq
         assert (tmp_path / "one" / name).read_bytes() == (merged / name).read_bytes()
 
 
-def test_bad_places_are_refused(master, tmp_path, capsys):  # noqa: F811
+def test_invalid_paths_are_refused_in_one_line(master, tmp_path, capsys):  # noqa: F811
     def refused(*arguments):
         assert main(["dataset", "merge", *map(str, arguments)]) == 1
         line = capsys.readouterr().err

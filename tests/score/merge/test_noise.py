@@ -28,7 +28,7 @@ def test_the_slope_of_parallel_lenses_is_depth_squared_over_focal_length_and_bas
 
 
 @pytest.mark.parametrize("noise_px", [0.05, 0.2])
-def test_noise_is_measured_as_strong_as_it_is_at_every_light(noise_px):
+def test_measured_noise_agrees_with_the_true_noise_at_every_brightness(noise_px):
     """Noise that falls with light, on a slanted plane, is found again to 5 %."""
     rng, scanner = np.random.default_rng(1), rig()
     row, column = np.mgrid[:240, :320]

@@ -51,7 +51,7 @@ def test_correct_poses_give_no_warning(views):
 @pytest.mark.parametrize(
     ("number", "shift_mm"), [(1, (0, 0, 1)), (2, (0, 0, -1)), (0, (5, 0, 0)), (2, (0, -5, 0))]
 )
-def test_a_view_that_is_shifted_is_named_with_the_way_back(views, number, shift_mm):
+def test_a_shifted_view_is_named_with_its_correction(views, number, shift_mm):
     """Oracle: the correction is the inverse of the applied shift, in the camera's axes."""
     T = views[number].T_world_cam @ rigid(np.eye(3), np.array(shift_mm) / 1e3)
     (doubt,) = doubts(views, **{f"v{number}": T})
@@ -62,7 +62,7 @@ def test_a_view_that_is_shifted_is_named_with_the_way_back(views, number, shift_
 
 
 @pytest.mark.slow
-def test_a_view_that_is_turned_by_a_little_is_named_with_the_angle(views):
+def test_a_slightly_rotated_view_is_named_with_the_angle(views):
     turn = Rotation.from_rotvec(np.radians([0.3, 0.0, 0.0])).as_matrix()
     (doubt,) = doubts(views, v2=views[2].T_world_cam @ rigid(turn, np.zeros(3)))
     assert doubt.startswith("view v2")
@@ -78,7 +78,7 @@ def test_a_view_that_is_turned_by_a_little_is_named_with_the_angle(views):
         (lambda T: T @ rigid(axis_rotation("z", -np.pi / 2), np.zeros(3)), "turned by 90 degrees"),
     ],
 )
-def test_the_usual_mistakes_in_a_pose_are_named(views, change, message):
+def test_common_mistakes_in_a_pose_are_named(views, change, message):
     (doubt,) = doubts(views, v1=change(views[1].T_world_cam))
     assert doubt.startswith("view v1 ") and f"with the pose of view v1 {message}" in doubt
 
@@ -90,12 +90,12 @@ def test_a_pose_that_cannot_be_corrected_is_reported(views):
 
 
 @pytest.mark.slow
-def test_a_mistake_in_all_poses_is_named_as_such(views):
+def test_a_mistake_common_to_all_poses_is_named(views):
     (doubt,) = doubts(views, **{v.name: inverse(v.T_world_cam) for v in views})
     assert "with all poses inverted they do" in doubt
 
 
-def test_with_two_views_the_wrong_one_cannot_be_identified(views):
+def test_the_wrong_view_of_two_cannot_be_identified(views):
     T = views[1].T_world_cam @ rigid(np.eye(3), np.array([0.0, 0.0, 1e-3]))
     (doubt,) = doubts(views[:2], v1=T)
     assert "one of the two poses is off" in doubt

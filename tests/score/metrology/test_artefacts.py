@@ -22,7 +22,7 @@ from graycast.world.parts import Material
 GREY = Material()
 
 
-def test_the_common_rectangle_of_parallel_devices_is_the_overlap_of_their_fields():
+def test_the_common_rectangle_of_parallel_devices_is_the_overlap_of_their_views():
     """Two equal pinholes 0.2 m apart: at z each covers z (w - 5) / f, two pixels in from the outer
     centres; the overlap is 0.2 m narrower.
     """
@@ -69,7 +69,7 @@ def test_a_sphere_too_large_for_the_volume_is_refused():
         sphere_centre_m(rig, working_volume(rig), (0.0, 0.0, 0.5), 0.2)
 
 
-def test_a_sphere_in_the_shadow_of_another_is_not_clear():
+def test_a_sphere_in_the_shadow_of_another_sphere_is_not_clearly_visible():
     """The camera sees the spheres apart, but they are on one line from the projector."""
     rig = make_rig(centred(64, 48, 80), centred(64, 48, 80), baseline_m=(0.3, 0.0, 0.0))
     projector = np.array([0.3, 0.0, 0.0])
@@ -79,14 +79,14 @@ def test_a_sphere_in_the_shadow_of_another_is_not_clear():
     assert not clear(rig, np.array([[0.1, 0.1, 1.0], [0.2, 0.2, 2.0]]), 0.02)  # the camera's turn
 
 
-def test_spheres_share_a_scene_only_at_one_depth_and_apart():
+def test_spheres_share_a_scene_only_if_they_are_apart_at_the_same_depth():
     rig = make_rig(centred(64, 48, 80), centred(64, 48, 80))
     centre = np.array([[0.0, 0.0, 1.0], [0.3, 0.0, 1.0], [0.03, 0.0, 1.0], [-0.3, 0.0, 2.0]])
     assert grouped(rig, centre, 0.02) == [[0, 1], [2], [3]]
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 0.7, 2.0])
-def test_a_tilted_plane_faces_the_camera_at_its_angle(azimuth):
+def test_a_tilted_plane_has_its_angle_to_the_camera(azimuth):
     surface = plane(1.3, tilt_rad=0.5, azimuth_rad=azimuth, material=GREY)
     normal = np.cross(surface.half_u_m, surface.half_v_m)
     normal /= np.linalg.norm(normal)

@@ -155,7 +155,7 @@ def test_a_scanner_without_noise_certifies_nearly_nothing(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(mitsuba_renderer):
+def test_a_baseline_error_of_a_thousandth_scales_all_lengths_by_a_thousandth(mitsuba_renderer):
     """A point is where a camera ray meets a light plane, so it moves with the baseline along its
     ray: the measured world is a scaled copy about the camera. Same seeds, same pictures.
     """
@@ -178,7 +178,7 @@ def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(mitsuba_
 
 
 @pytest.mark.slow
-def test_the_error_of_a_shot_includes_faults_that_all_shots_share(mitsuba_renderer):
+def test_the_error_of_a_shot_includes_systematic_errors(mitsuba_renderer):
     """A raster whose points lie off the pixels' centres moves the depth on a slope, in every shot
     alike. Oracle: a plane z = z0 + tan(t) y rises by tan(t) z^2 / (z0 f) for each pixel.
     """

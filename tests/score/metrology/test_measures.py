@@ -40,13 +40,13 @@ def cap(radius_m, centre, *, n=3000, opening=np.pi / 3):
     return np.asarray(centre) + radius_m * normal, normal
 
 
-def test_a_plane_is_found_through_points_that_lie_on_it():
+def test_a_plane_is_fitted_exactly_to_its_points():
     fit = fit_plane(rippled_plane(0.0, n=20))
     assert np.abs(np.abs(fit.normal @ NORMAL) - 1) < 1e-12
     assert abs(fit.offset_m - 0.7) < 1e-12
 
 
-def test_the_flatness_error_of_a_ripple_is_its_height_less_what_may_be_dropped():
+def test_the_flatness_error_of_a_ripple_is_its_height_without_the_dropped_points():
     """A cosine's distances go from -a to a. The 3 in 1000 beyond a cos(0.003 pi / 2) are no more
     than 2e-5 of a, so the range is 2 a. Which peaks are dropped is chance: at worst all at one
     edge, which moves the plane by 0.3 % of a and tilts it by three times that.
@@ -58,7 +58,7 @@ def test_the_flatness_error_of_a_ripple_is_its_height_less_what_may_be_dropped()
     assert abs(fit.normal @ NORMAL) > 1 - 1e-6
 
 
-def test_three_points_in_a_thousand_are_dropped_and_no_fourth():
+def test_exactly_three_points_in_a_thousand_are_dropped():
     point = rippled_plane(0.0, n=100)  # 10,000 points: 30 may go
     spikes = np.random.default_rng(0).choice(len(point), 31, replace=False)
     point[spikes[:30]] += 0.02 * NORMAL
@@ -69,13 +69,13 @@ def test_three_points_in_a_thousand_are_dropped_and_no_fourth():
 
 
 @pytest.mark.parametrize(("n", "dropped"), [(10, 0), (333, 0), (334, 1), (10_000, 30)])
-def test_the_farthest_are_dropped_on_either_side_and_their_number_is_rounded_down(n, dropped):
+def test_the_farthest_points_are_dropped_and_their_number_is_rounded_down(n, dropped):
     distance = -np.arange(n, dtype=float)
     keep = without_worst(distance)
     assert n - keep.sum() == dropped and keep[: n - dropped].all()
 
 
-def test_a_sphere_is_found_from_its_cap():
+def test_a_sphere_is_fitted_from_its_cap():
     centre = np.array([0.3, -0.2, 1.4])
     fit = fit_sphere(cap(0.05, centre)[0])
     assert np.abs(fit.centre_m - centre).max() < 1e-12 and abs(fit.radius_m - 0.05) < 1e-12
@@ -100,7 +100,7 @@ def test_a_ripple_on_a_sphere_is_its_form_error_and_not_its_size():
     assert abs(fit.radius_m - 0.05) < 0.012 * 1e-4
 
 
-def test_noise_on_a_sphere_leaves_it_unbiased_within_the_fits_own_error():
+def test_noise_does_not_bias_the_fitted_sphere():
     """The covariance of the fit is sigma^2 (J^T J)^-1 with J = (normal, 1)."""
     sigma = 1e-4
     point, normal = cap(0.05, (0.1, 0.1, 1.0), n=5000)
@@ -119,7 +119,7 @@ def test_too_few_points_are_refused():
 
 
 @pytest.mark.parametrize("captures", [2, 8])
-def test_temporal_noise_is_the_sigma_that_was_put_in(captures):
+def test_temporal_noise_equals_the_simulated_sigma(captures):
     """The median of chi-squared over 40,000 pixels is good to about 1 %."""
     rng = np.random.default_rng(captures)
     truth = rng.uniform(0.9, 1.1, (200, 200))
@@ -148,7 +148,7 @@ def test_point_spacing_is_depth_over_focal_length():
 
 
 @pytest.mark.parametrize("inverses", [False, True])
-def test_modulation_is_what_blur_leaves_of_a_bit(inverses):
+def test_blur_reduces_the_modulation_of_a_bit(inverses):
     """Every picture but white and black is drawn to the middle by a known share."""
     code = gray(16, 4, axes=("column",), inverses=inverses)
     share = code.render().astype(float)[:, :, :] / 255
@@ -185,7 +185,7 @@ def test_incomplete_sets_of_phases_have_no_modulation():
     assert 1 <= len(estimate) < sum(frame.kind == "phase" for frame in code.frames) - 2
 
 
-def test_the_error_of_depth_leaves_out_what_all_pixels_share_and_the_worst():
+def test_the_depth_error_excludes_the_common_offset_and_the_worst_pixels():
     """Oracle: a uniform law of width w has the standard deviation w / sqrt(12)."""
     error_m = 0.01 + np.linspace(-1e-3, 1e-3, 10_001)
     assert depth_error_m(error_m) == pytest.approx(2e-3 / np.sqrt(12), rel=5e-3)

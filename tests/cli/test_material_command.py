@@ -82,7 +82,7 @@ def test_the_rig_of_another_scanner_is_refused(scene, tmp_path, capsys, words, m
 @pytest.mark.parametrize(
     ("gain", "message"), [(0.0, "no pixel is lit"), (60.0, "saturated")], ids=["dark", "bright"]
 )
-def test_a_scan_without_light_or_with_too_much_is_refused(scene, tmp_path, capsys, gain, message):
+def test_a_scan_that_is_too_dark_or_too_bright_is_refused(scene, tmp_path, capsys, gain, message):
     """All pictures of the scene, with their light above the black level multiplied."""
     frames = tmp_path / "frames"
     shutil.copytree(scene / "frames", frames)

@@ -60,7 +60,7 @@ def scene(dataset):
     return dataset / "train" / "000000"
 
 
-def test_model_points_are_projected_as_the_world_places_them(scene, dataset, samples):
+def test_model_points_are_projected_to_their_place_in_the_world(scene, dataset, samples):
     """Oracle: BOP's s p = K [R|t] p_m with the files' numbers; ours goes through the world."""
     sample = samples[0]
     view = load_json(scene / "scene_camera.json")[0]
@@ -97,7 +97,7 @@ def test_depth_pictures_times_their_scale_are_the_depth(scene, samples):
     assert np.array_equal(load_image(scene / "reason_sl" / "000000.png")[1], scanner.reason)
 
 
-def test_pictures_and_masks_have_the_modes_that_readers_expect(scene, samples):
+def test_pictures_and_masks_have_the_colour_modes_that_readers_expect(scene, samples):
     for name, mode, image in (("rgb", "RGB", samples[0].rgb), ("gray_sl", "L", samples[0].gray)):
         read_mode, pixels = load_image(scene / name / "000000.png")
         assert read_mode == mode
@@ -115,7 +115,7 @@ def test_modulation_is_read_back_by_its_scale(scene, samples):
     assert scale < 2 * samples[0].modulation.max() / 65535
 
 
-def test_info_has_the_counts_of_calc_gt_info(scene, samples):
+def test_scene_info_has_the_same_counts_as_calc_gt_info(scene, samples):
     """Oracle: bop_toolkit's definitions on the ray-traced layers, on a canvas of three images."""
     sample = samples[0]
     h, w = sample.truth.instance.shape
@@ -168,7 +168,7 @@ def test_boxes_in_space_are_tight_around_the_placed_parts(scene, samples):
         assert np.abs(local.min(axis=0) + np.array(box["size"]) / 2).max() < 1e-6
 
 
-def test_a_vertex_that_no_face_uses_is_in_no_file(rig):
+def test_a_vertex_without_a_face_is_not_written(rig):
     """Some mesh files have such vertices, but the part has no surface there."""
     parts = box_part(), wedge_part()
     loose = []
@@ -187,7 +187,7 @@ def test_a_vertex_that_no_face_uses_is_in_no_file(rig):
     assert "scene_gt_box3d.json" in result[0]
 
 
-def test_models_are_the_parts_in_millimetres_for_an_independent_reader(dataset, parts):
+def test_an_independent_reader_reads_the_models_in_millimetres(dataset, parts):
     for obj_id, part in enumerate(parts, start=1):
         mesh = trimesh.load_mesh(dataset / "models" / f"obj_{obj_id:06d}.ply", process=False)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
@@ -197,7 +197,7 @@ def test_models_are_the_parts_in_millimetres_for_an_independent_reader(dataset, 
         assert np.allclose(mesh.bounds, 1000 * own.bounds, atol=1e-5)
 
 
-def test_texture_and_normals_are_kept_at_their_corners(dataset, parts):
+def test_every_face_corner_keeps_its_texture_coordinates_and_normal(dataset, parts):
     """Oracle: each face of the file, looked up by corner, has the mesh's own uv and normals."""
     column, faces, texture = load_ply(dataset / "models" / "obj_000001.ply")
     mesh = parts[0].mesh
@@ -213,7 +213,7 @@ def test_texture_and_normals_are_kept_at_their_corners(dataset, parts):
     assert np.allclose(loaded.visual.uv[loaded.faces], mesh.corner_uv, atol=1e-6)
 
 
-def test_normals_of_a_plain_mesh_are_weighted_by_the_angles_of_faces(dataset, parts):
+def test_vertex_normals_of_a_plain_mesh_are_weighted_by_the_angles_of_faces(dataset, parts):
     """Oracle: trimesh's own angle-weighted vertex normals."""
     column, faces, texture = load_ply(dataset / "models" / "obj_000002.ply")
     mesh = parts[1].mesh
@@ -242,7 +242,7 @@ def test_models_info_has_the_true_diameter_and_symmetries_in_millimetres(dataset
 
 
 @pytest.mark.parametrize("flat", [False, True])
-def test_diameter_is_the_largest_of_all_distances(flat):
+def test_the_diameter_is_the_largest_distance_between_two_vertices(flat):
     points = np.random.default_rng(5).normal(size=(400, 3)) * [1, 2, 0 if flat else 0.5]
     brute = np.linalg.norm(points[:, None] - points[None], axis=-1).max()
     assert diameter(points) == pytest.approx(brute, rel=1e-12)
@@ -267,11 +267,11 @@ def test_the_camera_file_describes_the_camera(dataset, rig):
         (65.0, 1.0),
     ],
 )
-def test_depth_scale_spreads_16_bits_over_the_range(reach_m, scale_mm):
+def test_the_depth_scale_spreads_16_bits_over_the_range(reach_m, scale_mm):
     assert depth_scale_mm(reach_m) == scale_mm
 
 
-def test_depth_scale_wastes_at_most_a_factor_of_two_and_a_half():
+def test_the_depth_scale_wastes_at_most_a_factor_of_two_and_a_half():
     for reach_m in np.geomspace(0.03, 65.5, 200):
         steps = reach_m * 1e3 / depth_scale_mm(float(reach_m))
         assert 65534 / 2.5 - 1 < steps <= 65534
@@ -292,7 +292,7 @@ def test_equal_samples_give_equal_bytes(samples, parts, rig):
     assert not any(name.startswith("/") or ".." in name for name in first)
 
 
-def test_a_part_beyond_the_scale_is_refused_and_a_wall_beyond_it_is_unknown(samples):
+def test_a_part_beyond_the_depth_scale_is_refused_and_a_wall_there_is_unknown(samples):
     truth = samples[0].truth
     part = truth.instance >= 0
     far_wall = replace(truth, depth_m=np.where(part, truth.depth_m, 1e3))
@@ -312,14 +312,14 @@ def test_a_measured_depth_beyond_the_scale_is_refused(samples):
         dict(scene_files([replace(samples[0], scanner_depth=scanner)], 0.1))
 
 
-def test_images_of_another_size_than_the_camera_s_are_refused(samples, rig):
+def test_images_that_differ_from_the_camera_in_size_are_refused(samples, rig):
     wide = replace(rig, camera=replace(rig.camera, width_px=161))
     sample = replace(samples[0], scene=replace(samples[0].scene, rig=wide))
     with pytest.raises(ValueError, match=r"rgb is \(120, 160\), the camera has \(120, 161\)"):
         dict(scene_files([sample], 0.1))
 
 
-def test_a_manifest_without_json_form_is_refused_and_nan_is_null(samples):
+def test_a_manifest_writes_nan_as_null_and_refuses_values_without_a_json_form(samples):
     sample = replace(samples[0], manifest={"noise": np.float32("nan"), "at": Path("a/b")})
     manifest = json.loads(dict(scene_files([sample], 0.1))["manifest.json"])
     assert {key: manifest[key] for key in sample.manifest} == {"noise": None, "at": "a/b"}

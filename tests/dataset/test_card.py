@@ -37,7 +37,7 @@ def files_of(out):
     return {str(file.relative_to(out)): file.read_bytes() for file in card_files}
 
 
-def test_a_card_has_its_header_its_figures_and_its_pictures(dataset):
+def test_a_card_has_a_header_figures_and_pictures(dataset):
     text = write_card(dataset, dataset_statistics(dataset), licence="CC-BY-4.0").read_text()
     head = yaml.safe_load(text.split("---\n")[1])
     assert head["pretty_name"] == "Simulated scans of box, wedge"
@@ -71,7 +71,7 @@ def test_the_card_does_not_depend_on_the_dataset_s_path(dataset, tmp_path):
         assert not validate(written)
 
 
-def test_for_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_path, monkeypatch):
+def test_the_card_of_a_large_dataset_reads_few_scenes_and_counts_all(five, tmp_path, monkeypatch):
     """Three scenes must not be read: their pictures are deleted."""
     monkeypatch.setattr(card, "SAMPLED", 2)
     out = shutil.copytree(five, tmp_path / "bins")
@@ -92,7 +92,7 @@ def test_for_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_p
     assert (numbers["scenes_in_dataset"], numbers["scenes"]) == (5, {"train": 2})
 
 
-def test_the_card_of_a_dataset_that_grew_has_its_new_size(five, tmp_path):
+def test_the_card_of_an_extended_dataset_states_the_new_size(five, tmp_path):
     out = shutil.copytree(five, tmp_path / "bins")
     last = [out / f"train/{k:06d}" for k in (0, 1)]
     aside = [folder.rename(tmp_path / folder.name) for folder in last]
@@ -104,7 +104,7 @@ def test_the_card_of_a_dataset_that_grew_has_its_new_size(five, tmp_path):
     assert files_of(out) == files_of(five)
 
 
-def test_pictures_show_different_parts_first(five, tmp_path):
+def test_the_first_pictures_on_a_card_show_different_parts(five, tmp_path):
     """Scenes 0 to 3 lose their wedges; scene 4 has both kinds and is among the pictures."""
     out = shutil.copytree(five, tmp_path / "bins")
     for k in range(4):
@@ -123,7 +123,7 @@ def test_a_card_of_real_pictures_claims_no_perfect_depth(dataset, tmp_path):
     assert "perfect depth (1 to 99 %)" not in text and "sigma" not in text
 
 
-def test_a_folder_that_cannot_be_written_keeps_its_old_card(dataset, tmp_path, monkeypatch):
+def test_a_read_only_folder_keeps_its_old_card(dataset, tmp_path, monkeypatch):
     out = shutil.copytree(dataset, tmp_path / "bins")
     write_card(out)
     first = files_of(out)

@@ -11,7 +11,7 @@ from graycast.dataset.card import counts_all_scenes, escaped, fenced, spdx, stat
 HOSTILE = "a|b `c` *d* [e](javascript:f) <img src=x> # g_h_ & ~i~"
 
 
-def test_words_that_a_user_chose_are_shown_letter_by_letter():
+def test_words_of_the_user_are_shown_without_interpreting_markdown():
     """Oracle: a Markdown parser of its own. What it shows is what was written, and nothing else."""
     parser = MarkdownIt("commonmark").enable(["table", "strikethrough"])
     name = escaped(HOSTILE)
@@ -25,7 +25,7 @@ def test_words_that_a_user_chose_are_shown_letter_by_letter():
         assert text.removeprefix("part ") == HOSTILE
 
 
-def test_a_fence_holds_whatever_is_in_it():
+def test_a_markdown_fence_is_longer_than_any_fence_in_its_text():
     text = "name: |\n  ```\n  ````\n"
     assert fenced(text).startswith("`````yaml\n")
     assert fenced("a: 1\n") == "```yaml\na: 1\n```"
@@ -39,14 +39,14 @@ def test_a_fence_holds_whatever_is_in_it():
         ("LicenseRef-Ours",) * 2,
     ],
 )
-def test_a_licence_is_spelt_as_spdx_spells_it(licence, spelt):
+def test_a_licence_is_written_in_the_spelling_of_spdx(licence, spelt):
     assert spdx(licence) == spelt
 
 
 @pytest.mark.parametrize(
     "words", ["ours", "Creative Commons", "CC BY 4.0", "", "MIT AND", "a\nb: c"]
 )
-def test_words_that_are_no_licence_of_spdx_are_refused(words):
+def test_a_licence_unknown_to_spdx_is_refused(words):
     with pytest.raises(
         GraycastError, match=r"is not an SPDX expression: give an identifier of spdx.org/licenses"
     ):
@@ -63,13 +63,13 @@ def test_words_that_are_no_licence_of_spdx_are_refused(words):
         ("# The owner's own\n", None),
     ],
 )
-def test_the_licence_of_a_card_is_that_of_its_head(readme, licence, tmp_path):
+def test_the_licence_of_a_card_is_read_from_its_header(readme, licence, tmp_path):
     assert stated_licence(tmp_path) is None
     (tmp_path / "README.md").write_text(readme)
     assert stated_licence(tmp_path) == licence
 
 
-def test_a_card_of_fewer_scenes_than_there_are_is_known(tmp_path):
+def test_a_card_that_counts_too_few_scenes_is_detected(tmp_path):
     """A run that is stopped after its scenes leaves the card of an earlier run of fewer."""
     for scene_id in range(3):
         (tmp_path / "train" / f"{scene_id:06d}").mkdir(parents=True)

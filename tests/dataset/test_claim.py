@@ -77,13 +77,13 @@ def claimed(part):
     return make_claim({}, 7, (part,), make_rig(), 0.02)
 
 
-def test_every_field_of_a_part_is_changed_once():
+def test_every_field_of_a_part_is_covered_by_a_change():
     """A new field must be added above, and to the claim."""
     known = {field.name for kind in (Part, Mesh, Material, Symmetry) for field in fields(kind)}
     assert set(CHANGES) == known - {"mesh", "material", "symmetry", "source"}
 
 
-def test_a_map_and_each_of_its_texels_are_claimed():
+def test_the_claim_depends_on_each_texel_of_a_map():
     varied = np.full((2, 3), 200, dtype=np.uint8)
     varied[1, 2] = 201
     looks = [MATERIAL, VARIED, replace(MATERIAL, roughness_map=varied)]
@@ -92,13 +92,13 @@ def test_a_map_and_each_of_its_texels_are_claimed():
 
 
 @pytest.mark.parametrize("field", CHANGES)
-def test_a_changed_part_makes_another_dataset(field):
+def test_a_changed_part_changes_the_claim(field):
     old, new = claimed(before(field)), claimed(changed(field))
     assert old["fingerprint"] != new["fingerprint"]
     assert old["fingerprint"] == fingerprint(old)
 
 
-def test_the_origin_of_a_part_is_recorded_and_makes_no_other_dataset():
+def test_the_origin_of_a_part_is_recorded_but_does_not_change_the_claim():
     moved = claimed(replace(BOX, source="elsewhere/box.stl"))
     assert moved["sources"] == ["elsewhere/box.stl"]
     assert moved["fingerprint"] == claimed(BOX)["fingerprint"]

@@ -23,7 +23,7 @@ def load(path):
 
 @pytest.mark.parametrize("window", [(3, 5, 9, 11), (0, 0, 20, 30), (19, 29, 20, 30), (0, 7, 1, 8)])
 @pytest.mark.parametrize("density", [0.5, 1.0])
-def test_run_lengths_are_those_of_pycocotools(window, density):
+def test_run_lengths_equal_those_of_pycocotools(window, density):
     top, left, bottom, right = window
     rng = np.random.default_rng(8)
     image = np.zeros((20, 30), dtype=bool)
@@ -60,7 +60,7 @@ def test_the_split_has_every_visible_instance_of_every_scene(dataset, samples):
 
 
 @pytest.mark.parametrize(("suffix", "picture"), [("", "rgb"), ("_sl", "gray_sl")])
-def test_a_scene_file_has_visible_masks_and_amodal_boxes_like_bop_toolkit_s(
+def test_a_scene_file_has_visible_masks_and_amodal_boxes_like_bop_toolkit(
     dataset, samples, suffix, picture
 ):
     scene = dataset / "train" / "000003"

@@ -48,12 +48,12 @@ def some(names, every):
     return [name if k % every == 0 else slow(name) for k, name in enumerate(names)]
 
 
-def test_there_are_more_faults_than_were_once_tried():
+def test_at_least_80_faults_are_tested():
     assert len({*KNOWN, *SUMS_ALONE, *OF_SUMS}) >= 80
 
 
 @pytest.mark.parametrize("fault", some([*KNOWN, *SUMS_ALONE], 20))
-def test_a_changed_file_has_another_sum(copy, fault):
+def test_a_changed_file_has_another_checksum(copy, fault):
     """In the moment that hashing takes: neither pictures nor models are read."""
     do = SUMS_ALONE[fault] if fault in SUMS_ALONE else KNOWN[fault][0]
     do(copy)
@@ -68,7 +68,7 @@ def test_a_changed_file_has_another_sum(copy, fault):
 
 
 @pytest.mark.parametrize("fault", some(KNOWN, 12))
-def test_form_and_models_reveal_a_fault_with_recomputed_checksums(copy, fault):
+def test_form_and_models_show_a_fault_despite_recomputed_checksums(copy, fault):
     do, words = KNOWN[fault]
     do(copy)
     reseal(copy)
@@ -76,7 +76,7 @@ def test_form_and_models_reveal_a_fault_with_recomputed_checksums(copy, fault):
     assert any(re.search(words, what) for what in problems), problems
 
 
-def test_a_whole_scene_of_another_dataset_is_named_without_reading_pictures(copy):
+def test_a_scene_from_another_dataset_is_detected_without_reading_pictures(copy):
     manifest(lambda m: m.update(dataset_seed=8))(copy)
     reseal(copy)
     (problem,) = validate(copy, fast=True)
@@ -86,7 +86,7 @@ def test_a_whole_scene_of_another_dataset_is_named_without_reading_pictures(copy
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", SUMS_ALONE)
-def test_faults_that_no_content_shows_are_detected_by_checksums_only(copy, fault):
+def test_faults_that_the_content_does_not_show_are_detected_by_checksums(copy, fault):
     """So the list of these faults stays true."""
     SUMS_ALONE[fault](copy)
     assert validate(copy) != ()
@@ -103,7 +103,7 @@ def test_checksums_must_exist_for_all_files(copy, fault):
 
 
 @pytest.mark.parametrize("read", [["validate"], ["validate", "--fast"], ["dataset", "stats"]])
-def test_another_format_is_refused_with_its_remedy(copy, capsys, read):
+def test_a_dataset_in_another_format_is_refused_with_a_remedy(copy, capsys, read):
     claim(lambda c: c.update(format_version=2))(copy)
     assert main([*read, str(copy)]) == 1
     error = capsys.readouterr().err
@@ -112,7 +112,7 @@ def test_another_format_is_refused_with_its_remedy(copy, capsys, read):
 
 
 @pytest.mark.slow
-def test_times_may_differ_and_files_of_a_browser_may_exist(copy):
+def test_changed_file_times_and_files_of_a_file_browser_are_accepted(copy):
     manifest(lambda m: m["timings"].update(render=1e3))(copy)
     (copy / "train/000000/.DS_Store").write_bytes(b"seen")
     assert validate(copy) == ()
@@ -130,7 +130,7 @@ DARK = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["far", slow("farther than its range"), "unlit"])
-def test_a_run_in_which_nothing_is_decoded_ends_with_the_reason(tmp_path, capsys, case):
+def test_a_run_without_any_decoded_pixel_ends_with_the_reason(tmp_path, capsys, case):
     changes, words = DARK[case]
     path = write_cell(tmp_path, **changes)
     assert main(["generate", str(path), "--out", str(tmp_path / "out"), "--device", "cpu"]) == 1

@@ -38,7 +38,7 @@ def dataset(tmp_path):
     return tmp_path / "out"
 
 
-def test_labels_are_of_boxes_only_and_pictures_show_all_parts():
+def test_only_labelled_parts_have_labels_and_pictures_show_all_parts():
     """All files except annotations equal those of a scene in which the wedges have labels."""
     all_of_them = dict(scene_files([sample((BOX, WEDGE))], 0.02))
     boxes = dict(scene_files([sample((BOX, FOREIGN))], 0.02))
@@ -75,7 +75,7 @@ def test_a_distractor_in_front_removes_pixels_from_a_label():
     assert labelled(own) is own
 
 
-def test_a_dataset_with_distractors_is_valid_and_has_no_models_of_them(dataset):
+def test_a_dataset_with_distractors_is_valid_and_has_no_distractor_models(dataset):
     assert validate(dataset) == ()
     assert [path.name for path in sorted((dataset / "models").glob("*.ply"))] == ["obj_000001.ply"]
     claim = json.loads((dataset / "graycast.json").read_text())
@@ -109,7 +109,7 @@ def test_a_visible_mask_that_covers_a_distractor_is_detected(dataset):
     assert any("instance 0: depth is off the model at its pose" in what for what in problems)
 
 
-def test_another_distractor_makes_another_dataset(dataset):
+def test_a_changed_distractor_changes_the_claim(dataset):
     store(dataset, (BOX, FOREIGN)).close()
     heavier = replace(FOREIGN, density_kg_m3=1.0)
     with pytest.raises(DatasetError, match="distractors"):
@@ -118,11 +118,11 @@ def test_another_distractor_makes_another_dataset(dataset):
         store(dataset, (BOX,))
 
 
-def test_a_claim_without_distractors_is_unchanged(tmp_path):
+def test_a_dataset_without_distractors_keeps_its_earlier_claim(tmp_path):
     with store(tmp_path / "out", (BOX, WEDGE)):
         assert "distractors" not in json.loads((tmp_path / "out" / "graycast.json").read_text())
 
 
-def test_labelled_parts_come_first():
+def test_labelled_parts_are_listed_before_distractors():
     with pytest.raises(ValueError, match="parts without a label must come last"):
         Scene(rig=make_rig(), T_world_cam=np.eye(4), parts=(FOREIGN, BOX))

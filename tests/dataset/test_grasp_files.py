@@ -65,7 +65,7 @@ def write(out, name, content):
     path.write_text(json.dumps(content))
 
 
-def test_labels_leave_a_valid_dataset_valid(labelled):
+def test_a_valid_dataset_stays_valid_with_grasp_labels(labelled):
     assert validate(labelled) == ()
     assert validate(labelled, fast=True) == ()
 
@@ -104,7 +104,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("harm", "message"), FAULTS)
-def test_a_wrong_label_is_named(labelled, harm, message):
+def test_a_wrong_grasp_label_is_named(labelled, harm, message):
     path = labelled / "grasps/jaws/train/000003.json"
     content = json.loads(path.read_bytes())
     harm(content["0"][1]["grasps"][0])
@@ -115,7 +115,7 @@ def test_a_wrong_label_is_named(labelled, harm, message):
     )
 
 
-def test_labels_of_other_scenes_and_datasets_are_named(labelled):
+def test_grasp_labels_of_other_scenes_and_datasets_are_reported(labelled):
     folder = labelled / "grasps/jaws"
     shutil.copy(folder / "train/000003.json", folder / "train/000007.json")
     (folder / "grasps.json").write_text(json.dumps(claim("another")))

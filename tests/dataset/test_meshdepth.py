@@ -21,7 +21,7 @@ def on_image(raster, shape):
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.25, 0.08, 0.002, -0.003, 0.0)])
-def test_raster_depth_is_the_depth_of_half_spaces(parts, rig, distortion):
+def test_raster_depth_of_a_convex_body_equals_the_depth_of_its_half_spaces(parts, rig, distortion):
     """A distorted lens is included: rays are bent, the part is not."""
     camera = replace(rig.camera, distortion=distortion)
     ray = rays(camera, pixel_grid(HEIGHT, WIDTH))

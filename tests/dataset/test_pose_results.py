@@ -27,7 +27,7 @@ def test_written_results_are_read_back(tmp_path):
         assert ids[0] == ids[1]
 
 
-def test_rotations_are_by_rows_and_translations_in_millimetres(tmp_path):
+def test_rotations_are_written_by_rows_and_translations_in_millimetres(tmp_path):
     """Computed by hand: a quarter turn about z moves x to y."""
     path = tmp_path / "poses.csv"
     path.write_text(f"{','.join(HEADER)}\n3,0,1,0.5,0 -1 0 1 0 0 0 0 1,10 20 900,-1\n")
@@ -51,7 +51,7 @@ def test_rotations_are_by_rows_and_translations_in_millimetres(tmp_path):
         (f"{ONE}\n{ONE.replace('0.25', '0.5')}", "scene 3, image 0 has the times 0.25 and 0.5"),
     ],
 )
-def test_a_file_of_no_results_gives_an_error_of_one_line(tmp_path, text, message):
+def test_a_file_that_contains_no_results_is_refused_in_one_line(tmp_path, text, message):
     path = tmp_path / "poses.csv"
     path.write_text(f"{','.join(HEADER)}\n{text}\n")
     with pytest.raises(GraycastError) as caught:

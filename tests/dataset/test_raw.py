@@ -96,7 +96,7 @@ def dataset_of(tmp_path_factory, opened, parts, rig):
     "case",
     [c if k == 0 else pytest.param(c, marks=pytest.mark.slow) for k, c in enumerate(CASES)],
 )
-def test_stored_frames_are_decoded_to_the_stored_depth_to_the_last_bit(dataset_of, case):
+def test_decoding_stored_frames_gives_exactly_the_stored_depth(dataset_of, case):
     """Oracle: the simulated measurement, in memory and in its PNGs, from the files alone."""
     out, sample = dataset_of(case)
     scene = out / "train/000000"
@@ -128,7 +128,7 @@ def test_a_capture_is_read_back_unchanged(dataset_of, case):
     assert (len(np.unique(capture.exposure_s)) == 2) == ("merged" in case)
 
 
-def test_code_maps_are_read_by_opencv_and_give_the_depth_again(dataset_of):
+def test_opencv_reads_code_maps_and_recomputes_the_depth_from_them(dataset_of):
     """Oracles: a reader other than Pillow; the triangulation of the decoded positions."""
     out, sample = dataset_of("as the paper's")
     maps = {
@@ -150,14 +150,14 @@ def test_code_maps_are_read_by_opencv_and_give_the_depth_again(dataset_of):
 
 
 @pytest.mark.slow
-def test_a_code_of_one_axis_has_maps_of_that_axis(dataset_of):
+def test_a_code_for_one_axis_has_maps_for_that_axis_only(dataset_of):
     out, _ = dataset_of("phases, filtered")
     assert list(read_code_maps(out / "train/000000")) == ["column", "sigma_column"]
     assert not (out / "train/000000/row_sl").exists()
 
 
 @pytest.mark.slow
-def test_a_scene_without_stored_frames_has_the_bytes_it_had(parts, rig):
+def test_a_scene_without_stored_frames_has_the_same_bytes_as_before(parts, rig):
     sample = build_sample(0, parts=parts, rig=rig)
     scanner = Scanner(rig=toed_in(rig))
     before = dict(scene_files([sample], 0.1))
@@ -176,7 +176,7 @@ def test_a_scene_without_stored_frames_has_the_bytes_it_had(parts, rig):
     assert patterns[2] == {"file": "0002.png", "kind": "gray", "axis": "column", "bit": 7}
 
 
-def test_a_stack_of_another_size_is_refused(rig, dataset_of):
+def test_a_stack_with_another_image_size_is_refused(rig, dataset_of):
     _, sample = dataset_of("as the paper's")
     with pytest.raises(ValueError, match="the captured stack is"):
         replace(sample.raw, scanner=Scanner(rig=toed_in(rig), code=PHASES))
@@ -306,7 +306,7 @@ DAMAGE = {
 }  # fmt: skip
 
 
-def test_a_sound_dataset_with_frames_is_valid(dataset_of):
+def test_an_undamaged_dataset_with_frames_is_valid(dataset_of):
     assert problems(dataset_of("as the paper's")[0]) == []
 
 
@@ -318,7 +318,7 @@ def test_every_kind_of_stack_is_valid(dataset_of, case):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damage_of_frames_and_maps_is_detected(dataset_of, tmp_path, damage):
+def test_damage_in_frames_and_maps_is_detected(dataset_of, tmp_path, damage):
     do, reason = DAMAGE[damage]
     out = shutil.copytree(dataset_of("as the paper's")[0], tmp_path / "out")
     do(out / "train/000000")
@@ -335,7 +335,7 @@ def decoded(capsys, *arguments):
 
 
 @pytest.mark.slow
-def test_the_stack_file_names_its_rig_and_a_folder_its_stack_file(dataset_of, capsys, tmp_path):
+def test_the_stack_file_is_found_in_its_folder_and_names_its_rig(dataset_of, capsys, tmp_path):
     out, sample = dataset_of("phases, filtered")
     decoded(capsys, out / "train/000000/frames", "--out", tmp_path)
     np.testing.assert_array_equal(np.load(tmp_path / "depth.npy"), sample.scanner_depth.depth_m)
@@ -352,7 +352,7 @@ def test_a_missing_rig_file_is_named(dataset_of, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_frames_of_a_generated_dataset_are_decoded_again(capsys, tmp_path):
+def test_stored_frames_of_a_generated_dataset_can_be_decoded(capsys, tmp_path):
     """With the renderer's light and all steps: graycast generate, validate, decode."""
     for name, store in (("plain", {}), ("kept", {"frames": True, "columns": True})):
         folder = tmp_path / name

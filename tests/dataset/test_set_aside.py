@@ -17,7 +17,7 @@ def names(folder):
     return list(json.loads(path.read_text())) if path.exists() else None
 
 
-def test_only_scenes_that_are_tried_again_are_removed_from_the_list(tmp_path):
+def test_only_scenes_to_be_retried_are_removed_from_the_list(tmp_path):
     file = SetAsideFile(tmp_path)
     file.forget(["000001"])
     assert names(tmp_path) is None

@@ -81,7 +81,7 @@ def test_a_dataset_of_several_images_is_valid(dataset_and_samples):
     assert validate(dataset_and_samples[0]) == ()
 
 
-def test_each_file_of_a_scanner_has_its_name_and_its_own_numbers(dataset_and_samples):
+def test_each_file_of_a_scanner_has_the_name_and_numbers_of_that_scanner(dataset_and_samples):
     """BOP's convention for several sensors; files of a sensor without a name do not exist."""
     out, _ = dataset_and_samples
     scene = out / "train/000000"
@@ -135,7 +135,7 @@ def test_pycocotools_reads_masks_of_every_image(dataset_and_samples):
             np.testing.assert_array_equal(mask, must)
 
 
-def test_data_of_each_image_are_read_back(dataset_and_samples):
+def test_the_data_of_each_image_are_read_back(dataset_and_samples):
     out, samples = dataset_and_samples
     stored = open_dataset(out)
     assert stored.images == (("left", 0), ("left", 1), ("right", 0))
@@ -149,7 +149,7 @@ def test_data_of_each_image_are_read_back(dataset_and_samples):
             assert content.manifest["seeds"] == sample.manifest["seeds"]
 
 
-def test_the_first_image_is_as_it_would_be_alone(dataset_and_samples, samples, opened, tmp_path):
+def test_further_images_do_not_change_the_first(dataset_and_samples, samples, opened, tmp_path):
     """Names differ and the records have more images; the entries of the first do not differ."""
     with opened(tmp_path / "one") as store:
         store.write(0, [samples[0]])
@@ -227,7 +227,7 @@ def test_validate_names_the_wrong_image(copy, fault):
 
 
 @pytest.mark.slow
-def test_the_rig_is_that_of_the_first_scanner(copy):
+def test_the_rig_of_the_dataset_is_that_of_the_first_scanner(copy):
     path = copy / "graycast.json"
     claim = json.loads(path.read_text())
     claim["rig"]["far_m"] *= 2
@@ -238,7 +238,7 @@ def test_the_rig_is_that_of_the_first_scanner(copy):
 # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
-def test_poses_are_scored_in_their_own_image(dataset_and_samples, tmp_path):
+def test_poses_are_scored_in_the_image_that_they_belong_to(dataset_and_samples, tmp_path):
     """True poses of both images of the first scanner score 1; those of exchanged images do not."""
     examples = open_examples(dataset_and_samples[0])
     (true,) = {sensor for _, sensor, _ in examples.place_of.values()} - {"right"}

@@ -19,7 +19,7 @@ IMAGE_IDS = [scene_id * len(NAMES) + place for scene_id in SCENES for place in r
 
 
 @pytest.mark.slow
-def test_every_picture_is_read_as_it_was_taken(several):  # noqa: F811
+def test_every_picture_is_read_back_unchanged(several):  # noqa: F811
     out, samples = several
     stored = open_dataset(out)
     assert [shot.image_id for shot in stored.pictures] == IMAGE_IDS
@@ -55,7 +55,7 @@ def test_an_export_contains_every_picture_once(several, tmp_path, form):  # noqa
                 assert np.array_equal(mask, sample.truth.instance == i)
 
 
-def test_examples_of_the_dataset_itself_have_the_same_numbers(several):  # noqa: F811
+def test_examples_of_a_dataset_and_its_export_have_the_same_numbers(several):  # noqa: F811
     examples = open_examples(several[0])
     assert [example.scene_id for example in examples] == IMAGE_IDS
 
@@ -68,7 +68,7 @@ def test_the_pictures_of_a_scene_stay_in_one_set(several, tmp_path):  # noqa: F8
         assert len({image_id // len(NAMES) for image_id in ids}) == 1
 
 
-def test_the_dataset_and_its_export_number_pictures_alike(several, tmp_path):  # noqa: F811
+def test_a_dataset_and_its_export_number_pictures_equally(several, tmp_path):  # noqa: F811
     """`train_coco.json` of the store is compared with COCO from the export."""
     export(several[0], tmp_path / "out", Options(format="coco", split=Split()))
     own = json.loads((several[0] / "train_coco.json").read_text())

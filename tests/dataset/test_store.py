@@ -56,7 +56,7 @@ def test_a_crash_while_writing_leaves_no_scene(opened, samples, tmp_path, monkey
         assert store.finished() == {0}
 
 
-def test_all_files_but_masks_are_on_the_disk_before_the_scene_has_its_name(
+def test_all_files_except_masks_are_synced_before_the_scene_folder_is_renamed(
     opened, samples, tmp_path, monkeypatch
 ):
     """A power cut after the rename would otherwise leave whole names with empty files."""
@@ -83,7 +83,7 @@ def test_all_files_but_masks_are_on_the_disk_before_the_scene_has_its_name(
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
-def test_the_error_for_a_full_disk_says_where_how_full_and_what_to_do(
+def test_the_error_for_a_full_disk_names_folder_free_space_and_remedy(
     opened, samples, tmp_path, monkeypatch, number
 ):
     with opened(tmp_path / "out") as store:
@@ -139,7 +139,7 @@ def test_runs_with_and_without_a_restart_give_the_same_files(
     assert content(out, timings=False) == content(dataset, timings=False)
 
 
-def test_another_configuration_is_refused_with_the_key_that_differs(
+def test_a_changed_configuration_is_refused_and_its_changed_key_named(
     opened, dataset, tmp_path, parts, rig
 ):
     out = shutil.copytree(dataset, tmp_path / "out")
@@ -161,7 +161,7 @@ def test_another_configuration_is_refused_with_the_key_that_differs(
     opened(out).close()
 
 
-def test_a_folder_of_other_files_is_unchanged(opened, tmp_path):
+def test_a_folder_of_other_files_is_refused_and_unchanged(opened, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(DatasetError, match=r"not empty .* thesis\.txt.* another folder"):
         opened(tmp_path)
@@ -215,7 +215,7 @@ def test_the_split_is_refused_while_scenes_are_missing(opened, samples, tmp_path
         assert not (store.out / "train_coco.json").exists()
 
 
-def test_scene_folders_are_as_readable_as_others(opened, samples, tmp_path):
+def test_scene_folders_have_the_permissions_of_other_folders(opened, samples, tmp_path):
     umask = os.umask(0o022)
     try:
         with opened(tmp_path / "out") as store:
@@ -226,7 +226,7 @@ def test_scene_folders_are_as_readable_as_others(opened, samples, tmp_path):
     assert modes == {0o755, 0o644}
 
 
-def test_a_folder_that_cannot_be_made_is_named(opened, tmp_path):
+def test_an_output_folder_that_cannot_be_made_is_named(opened, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(DatasetError, match=r"file/out .*Not a directory"):
         opened(tmp_path / "file" / "out")

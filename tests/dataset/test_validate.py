@@ -359,7 +359,7 @@ def test_a_valid_dataset_has_no_problems(dataset):
 @pytest.mark.parametrize(
     "damage", [slow(name) if k % 5 else name for k, name in enumerate(SCENE_DAMAGE)]
 )
-def test_damage_of_a_scene_is_detected_with_its_scene(damaged, damage):
+def test_damage_in_a_scene_is_detected_and_the_scene_is_named(damaged, damage):
     """Scene 0 is damaged and 3 is not; the split file must not agree, either."""
     do, reason = SCENE_DAMAGE[damage]
     scene = damaged / "train" / "000000"
@@ -372,7 +372,7 @@ def test_damage_of_a_scene_is_detected_with_its_scene(damaged, damage):
 
 
 @pytest.mark.parametrize("damage", DATASET_DAMAGE)
-def test_damage_of_the_dataset_is_detected(damaged, damage):
+def test_damage_in_files_of_the_whole_dataset_is_detected(damaged, damage):
     do, reason = DATASET_DAMAGE[damage]
     do(damaged)
     texts = [problem.what for problem in validate(damaged) if problem.scene is None]
@@ -391,6 +391,6 @@ def test_an_empty_dataset_is_reported(opened, tmp_path):
     assert "train/ holds no scene" in [p.what for p in validate(tmp_path / "out")]
 
 
-def test_a_problem_prints_its_scene():
+def test_the_text_of_a_problem_names_its_scene():
     assert str(Problem(scene=12, what="it broke")) == "scene 000012: it broke"
     assert str(Problem(scene=None, what="it broke")) == "it broke"

@@ -55,7 +55,7 @@ def test_measured_depth_in_coarse_steps_is_not_called_filled_holes(step_m):
 
 
 @pytest.mark.parametrize("pixels", [5, 100])
-def test_a_few_pixels_at_one_distant_depth_are_named(pixels):
+def test_a_few_pixels_at_the_same_distant_depth_are_reported(pixels):
     """A sentinel in floats, such as 65.535 m, is named for any share of pixels."""
     depth_m = slope(np.random.default_rng(4))
     assert depth_m.size > 20 * pixels  # below the share of filled holes

@@ -69,7 +69,7 @@ BENT = replace(CAMERA, distortion=(-2.0, 0.0, 1e-2, -2e-2, 0.0))
 
 
 @pytest.mark.parametrize("camera", [CAMERA, BENT])
-def test_normals_of_an_exact_plane_are_those_of_the_plane(camera):
+def test_shading_normals_of_an_exact_plane_equal_the_normal_of_the_plane(camera):
     """The lens with distortion moves the corner of the picture by 3 pixels."""
     mesh = solid(plane_m(camera=camera), camera=camera)
     assert off_deg(mesh.corner_normals[is_top(mesh)], -TILTED).max() < 0.3
@@ -82,7 +82,7 @@ def test_normals_of_an_exact_plane_are_those_of_the_plane(camera):
         (sphere_m(), from_centre),
     ],
 )
-def test_noise_turns_shading_normals_much_less_than_facets(depth_m, normal_at):
+def test_noise_tilts_shading_normals_much_less_than_facets(depth_m, normal_at):
     """A slope from independent noise s over a Gaussian window of width w errs by about
     s / (5 w^2): 0.2 degrees for 13 x 13 pixels. The cut at 1.7 widths and the weights for edges
     double this; at the rim, half a window doubles it again.
@@ -96,7 +96,7 @@ def test_noise_turns_shading_normals_much_less_than_facets(depth_m, normal_at):
     assert np.sqrt((smooth**2).mean()) < 1.2
 
 
-def test_shading_does_not_move_the_surface():
+def test_shading_normals_do_not_move_the_surface():
     flat, smooth = (solid(noisy(sphere_m()), smooth=one) for one in (False, True))
     assert flat.corner_normals is None and smooth.corner_normals is not None
     np.testing.assert_array_equal(flat.vertices_m, smooth.vertices_m)

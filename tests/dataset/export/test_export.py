@@ -52,7 +52,7 @@ def truncated(master, tmp_path_factory):
 
 
 @pytest.mark.parametrize("form", list(FORMATS))
-def test_a_truncated_picture_is_named_and_no_export_is_left(truncated, tmp_path, form):
+def test_a_truncated_picture_is_named_and_the_partial_export_is_removed(truncated, tmp_path, form):
     if form == "parquet":
         pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
     with pytest.raises(DatasetError, match=r"000003: rgb/000000.png is cut off or damaged"):
@@ -73,7 +73,7 @@ def test_missing_or_contradictory_labels_are_reported(master, tmp_path):
         export(copy, tmp_path / "out", Options(format="coco"))
 
 
-def test_a_folder_in_use_is_unchanged(master, tmp_path):
+def test_a_folder_with_files_is_refused_as_export_folder(master, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(GraycastError, match="is not empty: choose another folder"):
         export(master, tmp_path, Options(format="coco"))
@@ -98,7 +98,7 @@ def test_an_option_of_another_format_is_refused():
             Options(format=former)
 
 
-def test_links_share_the_file_and_copies_do_not(master, tmp_path):
+def test_exported_links_share_the_file_and_copies_do_not(master, tmp_path):
     for name, link in (("linked", True), ("copied", False)):
         export(master, tmp_path / name, Options(format="yolo", link=link))
         picture = tmp_path / name / "images" / "train" / "000003.png"
@@ -107,7 +107,7 @@ def test_links_share_the_file_and_copies_do_not(master, tmp_path):
             assert image.size == (160, 120)
 
 
-def test_a_link_to_another_disk_says_so(master, tmp_path, monkeypatch):
+def test_the_error_for_a_link_to_another_disk_names_the_cause(master, tmp_path, monkeypatch):
     def refuse(source, target):
         raise OSError(18, "Invalid cross-device link")
 

@@ -42,7 +42,7 @@ def steps_of(depth_m):
 
 
 @pytest.mark.parametrize("polygons", [False, True])
-def test_coco_is_read_by_pycocotools_with_masks_boxes_and_poses(exported, samples, polygons):
+def test_pycocotools_reads_masks_boxes_and_poses_of_a_coco_export(exported, samples, polygons):
     out = exported("coco", polygons=polygons, depth="both")
     with contextlib.redirect_stdout(io.StringIO()):
         coco = COCO(str(out / "annotations" / "instances_train.json"))
@@ -72,7 +72,7 @@ def test_coco_is_read_by_pycocotools_with_masks_boxes_and_poses(exported, sample
 
 
 @pytest.mark.parametrize("labels", ["boxes", "segments"])
-def test_yolo_rows_are_the_boxes_or_masks_in_relative_coordinates(exported, samples, labels):
+def test_yolo_rows_contain_boxes_or_masks_in_relative_coordinates(exported, samples, labels):
     out = exported("yolo", labels=labels, split=Split(shares=(0.5, 0.5, 0.0)))
     data = yaml.safe_load((out / "data.yaml").read_text())
     assert data["names"] == {0: "box", 1: "wedge"}
@@ -99,7 +99,7 @@ def test_yolo_rows_are_the_boxes_or_masks_in_relative_coordinates(exported, samp
     assert sorted(scene_ids) == list(samples)
 
 
-def test_yolo_boxes_are_read_by_globox(exported, samples):
+def test_globox_reads_yolo_boxes(exported, samples):
     globox = pytest.importorskip("globox", reason="pip install globox")
     out = exported("yolo", labels="boxes")
     read = globox.AnnotationSet.from_yolo_v5(
@@ -154,7 +154,7 @@ def check_bop(files, sample, depth_m, info_key):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("depth", ["perfect", "scanner"])
-def test_bops_shards_are_read_by_the_webdataset_package(exported, samples, depth):
+def test_the_webdataset_package_reads_bop_shards(exported, samples, depth):
     out = exported("bop-webdataset", shard_scenes=3, depth=depth)
     shard_of = json.loads((out / "train" / "key_to_shard.json").read_text())
     assert shard_of == {f"{i:06d}_000000": n // 3 for n, i in enumerate(samples)}
@@ -174,7 +174,7 @@ def test_equal_datasets_give_equal_shards_without_names_or_times(exported):
 
 
 @pytest.mark.slow
-def test_parquet_is_read_by_pyarrow(exported, samples):
+def test_pyarrow_reads_a_parquet_export(exported, samples):
     pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'graycast[parquet]'")
     out = exported("parquet", shard_scenes=3, image="gray")
     parts = sorted((out / "train").glob("*.parquet"))
@@ -203,7 +203,7 @@ def expected_points(sample, depth_m):
 
 
 @pytest.mark.parametrize("organised", [False, True])
-def test_ply_clouds_are_read_by_trimesh(exported, samples, organised):
+def test_trimesh_reads_ply_clouds(exported, samples, organised):
     out = exported("clouds", organised=organised)
     for scene_id, sample in samples.items():
         for name, depth_m in (
@@ -253,7 +253,7 @@ def test_pcd_clouds_are_read_by_pypcd4(exported, samples, organised):
             assert np.array_equal(color.reshape(-1, 3), sample.rgb[known])
 
 
-def test_a_cloud_through_a_distorted_lens_is_on_the_true_rays(tmp_path):
+def test_cloud_points_of_a_distorted_lens_are_on_the_true_rays(tmp_path):
     """Oracle: OpenCV's undistortion of the pixels, with the rig's coefficients."""
     samples = pictured.write_dataset(tmp_path / "out", (0,), pictured.lensed_rig())
     options = Options(format="clouds", split=Split(), organised=True, depth="perfect")
@@ -294,7 +294,7 @@ def test_parquet_declares_which_columns_are_pictures(exported):
         assert fields == {"bytes": "binary", "path": "string"}
 
 
-def test_parquet_is_loaded_by_hugging_face_as_pictures(exported, samples, tmp_path):
+def test_hugging_face_loads_pictures_from_a_parquet_export(exported, samples, tmp_path):
     datasets = pytest.importorskip("datasets", reason="pip install datasets")
     out = exported("parquet")
     files = [str(path) for path in sorted((out / "train").glob("*.parquet"))]
@@ -330,7 +330,7 @@ def toolkit_mask(vertices_mm, faces, K, width_px, height_px):
     return covered
 
 
-def test_the_toolkits_renderers_draw_our_masks_where_the_origin_is_a_corner(exported, samples):
+def test_bop_toolkit_renders_our_masks_if_the_origin_is_a_pixel_corner(exported, samples):
     """Oracle: their projection, rasterised here; with BOP's own origin a rim is off."""
     sample, overlap = samples[0], {}
     for origin in ("centre", "corner"):
@@ -352,7 +352,7 @@ def test_the_toolkits_renderers_draw_our_masks_where_the_origin_is_a_corner(expo
     assert overlap["centre"] < 0.97
 
 
-def test_our_own_reader_counts_from_pixel_centres_for_every_export(exported, samples):
+def test_our_own_reader_puts_the_origin_at_a_pixel_centre_for_every_export(exported, samples):
     from graycast.dataset.training import open_examples
 
     example = open_examples(exported("bop-webdataset", pixel_origin="corner"))[0]

@@ -24,7 +24,7 @@ def write_selection(path, master, scenes, **changed):
     return path
 
 
-def test_only_the_file_s_scenes_are_exported_each_in_its_own_set(master, samples, tmp_path):
+def test_only_the_selected_scenes_are_exported_into_their_own_sets(master, samples, tmp_path):
     selection = write_selection(
         tmp_path / "s.json", master, {"train-000005": ["odd"], "train-000003": []}
     )

@@ -8,7 +8,7 @@ from graycast.dataset.export import Split, parse_shares
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("count", [40, 500, 5000])
-def test_shares_are_met_to_within_four_scenes_and_no_scene_is_in_two_sets(count, seed):
+def test_set_sizes_agree_with_the_shares_and_no_scene_is_in_two_sets(count, seed):
     shares = (0.7, 0.2, 0.1)
     sets = Split(shares=shares, seed=seed).assign(range(40, 40 + count))
     assert sorted(i for ids in sets.values() for i in ids) == list(range(40, 40 + count))
@@ -30,7 +30,7 @@ def test_each_seed_gives_its_own_split():
     assert sets[0] == sets[1] != sets[2]
 
 
-def test_a_set_without_a_share_does_not_exist_and_one_without_scenes_is_refused():
+def test_a_set_without_a_share_does_not_exist_and_an_empty_set_is_refused():
     assert set(Split(shares=(0.5, 0.0, 0.5)).assign(range(10))) == {"train", "test"}
     with pytest.raises(GraycastError, match=r"gets none of the 2 scenes: the first \d+ scenes"):
         Split(shares=(0.4, 0.3, 0.3)).assign([1, 2])
@@ -43,7 +43,7 @@ def test_impossible_shares_are_refused(text):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_stated_least_number_of_scenes_is_the_first_that_is_accepted(seed):
+def test_the_stated_minimum_number_of_scenes_is_the_first_accepted_number(seed):
     split = Split(shares=(0.8, 0.1, 0.1), seed=seed)
     assert all(split.assign(range(split.least())).values())
     with pytest.raises(GraycastError, match=f"the first {split.least()} scenes"):

@@ -6,7 +6,7 @@ import pytest
 from graycast.dataset.stats.gather import _quantiles, error_figures
 
 
-def test_quantiles_of_a_histogram_are_numpy_s():
+def test_quantiles_of_a_histogram_equal_those_of_numpy():
     value = np.random.default_rng(3).poisson(40, 5001) - 20
     counts = {int(k): int((value == k).sum()) for k in np.unique(value)}
     shares = (0.01, 0.25, 0.5, 0.9, 0.999)
@@ -14,14 +14,14 @@ def test_quantiles_of_a_histogram_are_numpy_s():
     np.testing.assert_array_equal(_quantiles(counts, shares), expected)
 
 
-def test_the_statistics_of_one_value_are_this_value():
+def test_median_and_rms_of_a_single_value_equal_the_value():
     error = error_figures({30: 10}, 0.1)
     assert error.median_mm == pytest.approx(3.0)
     assert error.rms_mm == pytest.approx(3.0)
     assert (error.beyond_1mm, error.beyond_5mm) == (1.0, 0.0)
 
 
-def test_rounded_errors_have_the_median_and_deviation_before_rounding():
+def test_rounding_does_not_change_the_median_and_deviation_of_errors():
     """A normal law of 2 steps about 0.3; rounding adds a step's variance, 1/12 (Sheppard)."""
     value = np.random.default_rng(4).normal(0.3, 2.0, 200_000)
     step, count = np.unique(np.rint(value).astype(int), return_counts=True)

@@ -36,7 +36,7 @@ def statistics(dataset_and_samples):
     return dataset_statistics(dataset_and_samples[0])
 
 
-def test_labels_from_run_lengths_are_the_mask_pictures(dataset_and_samples):
+def test_labels_from_run_lengths_equal_the_mask_pictures(dataset_and_samples):
     """Oracle: the PNGs of mask_visib, which other code writes."""
     for scene in open_dataset(dataset_and_samples[0]).scenes:
         label = scene_content(scene).label
@@ -46,7 +46,7 @@ def test_labels_from_run_lengths_are_the_mask_pictures(dataset_and_samples):
         np.testing.assert_array_equal(label, painted)
 
 
-def test_counts_are_those_of_the_samples(dataset_and_samples, statistics):
+def test_counts_in_the_statistics_equal_those_of_the_samples(dataset_and_samples, statistics):
     _, samples = dataset_and_samples
     visible = np.concatenate(
         [
@@ -67,7 +67,7 @@ def test_counts_are_those_of_the_samples(dataset_and_samples, statistics):
     assert list(statistics.areas.values()) == np.bincount(sizes, minlength=3).tolist()
 
 
-def test_shares_of_reasons_are_those_of_the_maps(dataset_and_samples, statistics):
+def test_shares_of_reasons_agree_with_the_maps_of_reasons(dataset_and_samples, statistics):
     reason = np.stack([s.scanner_depth.reason for s in dataset_and_samples[1].values()])
     on_part = np.stack([s.truth.instance >= 0 for s in dataset_and_samples[1].values()])
     for one in Reason:
@@ -102,7 +102,7 @@ def test_statistics_are_read_back_from_json(dataset_and_samples):
     assert type(figures).model_validate_json(figures.model_dump_json()) == figures
 
 
-def test_files_and_table_are_written(dataset_and_samples, statistics, tmp_path):
+def test_statistics_files_and_table_are_written(dataset_and_samples, statistics, tmp_path):
     with figures_of(stats_plots) as figures:
         write_statistics(statistics, tmp_path / "figures")
     record = json.loads((tmp_path / "figures/stats.json").read_text())

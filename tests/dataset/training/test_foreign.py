@@ -45,7 +45,7 @@ def test_a_folder_of_bop_scenes_is_read_like_our_own_dataset(datasets):
         np.testing.assert_allclose(other.K, mine.K)
 
 
-def test_coco_annotations_of_any_origin_are_read(datasets):
+def test_coco_annotations_from_other_programs_are_read(datasets):
     path = datasets / "coco" / "annotations" / "instances_train.json"
     theirs = open_examples(path)
     for mine, other in zip(open_examples(datasets / "ours"), theirs, strict=True):
@@ -140,7 +140,7 @@ def test_brackets_in_a_picture_s_name_are_not_a_pattern(tmp_path):
     assert example.mask is None
 
 
-def test_the_name_of_a_picture_does_not_lead_out_of_the_folder(tmp_path):
+def test_a_picture_name_that_leads_out_of_the_folder_is_refused(tmp_path):
     """Otherwise a foreign list could open files of its reader."""
     picture = np.full((4, 4, 3), 90, np.uint8)
     (tmp_path / "set").mkdir()
@@ -168,7 +168,7 @@ def test_a_picture_that_is_stored_rotated_is_refused(tmp_path):
         open_examples(tmp_path / "a.json")[0]
 
 
-def test_the_largest_number_is_no_depth(datasets, tmp_path):
+def test_the_largest_number_in_a_depth_picture_means_unknown(datasets, tmp_path):
     scenes = shutil.copytree(datasets / "ours/train", tmp_path / "train")
     path = scenes / "000000/depth/000000.png"
     steps = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -192,7 +192,7 @@ def test_the_largest_number_is_no_depth(datasets, tmp_path):
         ([], "Input should be an object: each key must be the number"),
     ],
 )
-def test_a_bop_scene_of_another_form_is_named(tmp_path, poses, message):
+def test_a_bop_scene_with_a_different_layout_is_named(tmp_path, poses, message):
     (tmp_path / "000000").mkdir()
     file = tmp_path / "000000" / "scene_gt.json"
     file.write_text(json.dumps(poses))
@@ -212,7 +212,7 @@ def test_a_bop_picture_whose_camera_is_missing_is_named(datasets, tmp_path):
         open_examples(tmp_path / "train")[1]
 
 
-def test_a_picture_or_a_mask_that_is_missing_is_named(datasets, tmp_path):
+def test_a_missing_picture_or_mask_is_named(datasets, tmp_path):
     path = tmp_path / "a.json"
     image = {"id": 1, "file_name": "nowhere.png", "width": 4, "height": 4}
     path.write_text(json.dumps({"images": [image], "annotations": [], "categories": []}))

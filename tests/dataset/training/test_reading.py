@@ -71,7 +71,7 @@ def same(a, b, fields):
             np.testing.assert_array_equal(y, x, err_msg=name)
 
 
-def test_the_dataset_s_examples_agree_with_the_simulation(master, samples):
+def test_examples_read_from_a_dataset_agree_with_the_simulation(master, samples):
     examples = open_examples(master)
     assert examples.categories == {1: "box", 2: "wedge"}
     assert len(examples) == len(samples)
@@ -104,7 +104,7 @@ def test_an_export_gives_the_same_examples_as_the_dataset(master, exported, name
         same(a, b, fields)
 
 
-def test_sets_are_the_same_from_the_dataset_and_from_an_export(master, exported):
+def test_a_dataset_and_its_export_are_divided_into_the_same_sets(master, exported):
     division = Split(shares=(0.5, 0.5, 0.0), seed=4)
     out = exported("bop-webdataset", split=division)
     scene_ids = []
@@ -164,7 +164,7 @@ def test_clouds_and_other_folders_are_refused_as_examples(exported, tmp_path, ma
 
 
 @pytest.mark.parametrize("former", ["bop-imagewise", "webdataset"])
-def test_an_export_of_a_former_format_names_the_new_format(exported, former):
+def test_the_error_for_a_former_export_format_names_the_new_format(exported, former):
     out = exported("yolo")
     path = out / "export.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"format": former}))
@@ -187,7 +187,7 @@ def test_a_dataset_and_its_exports_are_read_with_few_packages_installed(master, 
 
 
 @pytest.mark.slow
-def test_a_package_made_absent_cannot_be_imported():
+def test_a_package_hidden_by_the_test_cannot_be_imported():
     """So the test above would notice an import of it."""
     wrong = READ.replace(
         "from graycast.dataset.training",
@@ -197,7 +197,7 @@ def test_a_package_made_absent_cannot_be_imported():
     assert ended.returncode == 1 and "No module named" in ended.stderr
 
 
-def test_the_checksum_of_a_dataset_changes_with_its_files_and_not_with_its_times(master, tmp_path):
+def test_the_checksum_of_a_dataset_depends_on_contents_and_not_on_file_times(master, tmp_path):
     own = shutil.copytree(master, tmp_path / "own")
     before = open_examples(own).content_sum()
     assert before == open_examples(master).content_sum()

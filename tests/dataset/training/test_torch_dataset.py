@@ -46,7 +46,7 @@ def check(item, example):
         assert box.tolist() == [x.min(), y.min(), x.max() + 1, y.max() + 1]
 
 
-def test_items_are_tensors_in_torchvision_s_shapes(torch_dataset, master):
+def test_items_are_tensors_in_the_shapes_of_torchvision(torch_dataset, master):
     data = torch_dataset.TorchExamples(master)
     assert len(data) == 4
     check(data[1], open_examples(master)[1])
@@ -61,7 +61,7 @@ def test_data_that_an_export_lacks_are_not_among_the_keys(torch_dataset, exporte
     assert data[0] == ["boxes", "labels", "masks", "rgb", "scene_id"]
 
 
-def test_without_pytorch_the_error_names_the_package_to_install(monkeypatch):
+def test_the_error_for_missing_pytorch_names_the_package_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, NAME, raising=False)
     with pytest.raises(GraycastError, match="pip install torch"):
@@ -69,7 +69,7 @@ def test_without_pytorch_the_error_names_the_package_to_install(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_loader_of_pytorch_reads_it_in_its_own_processes(master):
+def test_a_pytorch_loader_reads_the_dataset_in_worker_processes(master):
     torch = pytest.importorskip("torch", reason="PyTorch is not installed: run pip install torch")
     from graycast.dataset.training.torch_dataset import TorchExamples
 

@@ -54,7 +54,7 @@ def calibrated(views):
 @pytest.mark.parametrize(
     ("first", "count", "turn_deg"), [(3, 6, 0.5), slow(4, 9, 0.1), slow(5, 9, 2.0)]
 )
-def test_a_camera_that_was_moved_between_two_halves_of_the_views_gives_no_rig(
+def test_a_calibration_is_refused_if_the_camera_moved_between_two_halves_of_the_views(
     first, count, turn_deg
 ):
     """Symptom: a rig with focal lengths 15 to 18 % off, a stated 2.8 %, and no view named."""

@@ -245,7 +245,7 @@ def test_the_working_range_contains_all_corners(from_gray, truth_poses):
 
 
 @pytest.mark.slow
-def test_dark_squares_that_are_hardly_decoded_do_no_harm(gray_views):
+def test_dark_squares_with_many_missing_codes_do_not_spoil_the_calibration(gray_views):
     """Half of the dark pixels have no code, every twentieth of all has one bit wrong."""
     rng = np.random.default_rng(5)
     worse = []
@@ -360,7 +360,7 @@ def test_a_corner_without_code_around_it_has_no_projector_position(camera_rays, 
     assert np.isfinite(corner_px[0]).all()
 
 
-def test_a_third_of_the_pixels_may_be_completely_wrong(camera_rays, truth_poses):
+def test_a_third_of_completely_wrong_pixels_does_not_move_a_corner(camera_rays, truth_poses):
     """All errors are on one side, as after a wrong coarse bit, which no average could tolerate."""
     T = truth_poses[1]
     code = code_of(camera_rays, T).astype(np.float32)
@@ -425,7 +425,7 @@ def test_a_view_whose_board_moved_is_named(camera_rays, truth_poses, gray_views)
         (np.s_[::-1, ::-1], "leaves out view pose4: .* its pictures may be turned"),
     ],
 )
-def test_a_mirrored_or_rotated_view_is_left_out_by_name(gray_views, turn, says):
+def test_a_mirrored_or_rotated_view_is_left_out_and_named(gray_views, turn, says):
     """Symptom: a projector with fx 5 million and fy 0.4 px, and no error."""
     view = gray_views[4]
     views = list(gray_views)
@@ -473,12 +473,12 @@ def test_views_without_a_board_are_all_named(gray_views):
         calibrate_rig([gray_views[0], empty, flat], CHESSBOARD, projector_size_px=SIZE)
 
 
-def test_a_number_of_inner_corners_in_place_of_squares_is_recognised(gray_views):
+def test_a_count_of_inner_corners_in_place_of_squares_is_recognised(gray_views):
     with pytest.raises(CalibrationError, match="counts squares, so give 9x7"):
         find_corners(gray_views[0].white, parse_board("chessboard:8x6:0.025"))
 
 
-def test_a_view_of_one_axis_is_refused(gray_views):
+def test_a_view_with_a_code_for_only_one_axis_is_refused(gray_views):
     half = replace(gray_views[2], row=np.full((360, 480), np.nan, dtype=np.float32))
     with pytest.raises(CalibrationError, match=r"view pose2: 0 of 48 .* both axes"):
         calibrate_rig([*gray_views[:2], half], CHESSBOARD, projector_size_px=SIZE)
@@ -489,7 +489,7 @@ def test_a_projector_too_small_for_its_code_is_refused(gray_views):
         calibrate_rig(gray_views[:3], CHESSBOARD, projector_size_px=(200, 150))
 
 
-def test_views_of_two_sizes_or_with_one_name_are_refused(gray_views):
+def test_views_with_different_sizes_or_equal_names_are_refused(gray_views):
     small = BoardView(
         name="small",
         white=gray_views[0].white[:300],
@@ -531,7 +531,7 @@ def test_a_board_is_read_from_its_text():
         ("charuco:20x20:0.03:0.022:DICT_4X4_50", "needs 200 markers, DICT_4X4_50 has 50"),
     ],
 )
-def test_a_text_that_is_no_board_is_refused_with_the_valid_forms(text, message):
+def test_a_text_that_describes_no_board_is_refused_with_the_valid_forms(text, message):
     with pytest.raises(ValueError, match=message):
         parse_board(text)
 

@@ -107,7 +107,7 @@ def test_terms_that_a_wide_lens_determines_are_kept():
 
 
 @pytest.mark.slow
-def test_the_error_of_the_camera_s_corners_does_not_separate_the_devices():
+def test_errors_of_camera_corners_do_not_change_the_relative_pose():
     """The code is a hundred times more precise than the corners: it determines the relative pose.
 
     Without the camera's error in the projector position, the fit hides that.
@@ -149,7 +149,7 @@ def test_deviations_scale_with_the_square_root_of_the_number_of_corners():
 
 
 @pytest.mark.slow
-def test_a_lens_without_distortion_is_calibrated_as_such():
+def test_a_lens_without_distortion_is_calibrated_without_distortion():
     camera = projector = lens(1500.0, (0.0,) * 5)
     fit = adjust(
         corners_of(camera, projector, depth_m=0.6, seed=4),

@@ -62,12 +62,12 @@ def of_another_pose(px, views):
     return views[3].corners.projector_px
 
 
-def test_views_of_one_rig_are_all_kept(observed):
+def test_all_views_from_the_same_rig_are_kept(observed):
     assert agreeing(observed, SIZE, SIZE).left_out == {}
 
 
 @pytest.mark.parametrize("edit", [turned, shifted, halved, of_another_pose])
-def test_a_view_that_does_not_belong_to_the_rig_is_left_out_by_name(edit, observed):
+def test_a_view_that_does_not_belong_to_the_rig_is_left_out_and_named(edit, observed):
     left = agreeing(with_one(observed, edit), SIZE, SIZE)
     assert list(left.left_out) == ["v2"]
     assert len(left.views) == 4
@@ -126,7 +126,7 @@ def test_the_same_pose_taken_twice_is_named(observed):
 
 
 @pytest.mark.slow
-def test_a_mirrored_code_is_named_as_decode_names_it():
+def test_a_mirrored_code_is_reported_in_the_same_words_as_in_decode():
     """The board faces camera and projector, so its columns increase from right to left."""
     squares = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.ones((30, 30)))
     white = np.pad(np.where(squares == 0, 20, 200), 30, constant_values=220).astype(np.uint8)

@@ -82,7 +82,7 @@ def scanned():
     return true_m, scan_m, covered, bend_bin(STRAIGHT, T, CAMERA, scan_m)
 
 
-def test_the_visible_surface_of_the_bent_mesh_is_the_measured_one(scanned):
+def test_the_visible_surface_of_the_bent_mesh_equals_the_measured_surface(scanned):
     """Oracle: the depth of the scanned shape, bent by formulas in the bin's frame."""
     true_m, scan_m, covered, bent = scanned
     straight_m = cast(STRAIGHT)
@@ -141,7 +141,7 @@ def test_a_bin_at_another_place_is_refused():
 
 
 @pytest.mark.slow
-def test_a_flat_part_in_one_of_two_views_is_not_taken_for_the_bin():
+def test_a_flat_part_in_one_of_two_views_does_not_bend_the_bin():
     """The median of two is their mean, which lies halfway between the part and the floor.
 
     Oracle: the depth of the same bin without the part.

@@ -29,7 +29,7 @@ def cluttered(count, rng, sigma_m=2e-4):
     return floor_m, views
 
 
-def test_five_views_with_parts_give_the_floor_without_parts_and_outliers():
+def test_a_composite_of_five_views_shows_the_floor_without_parts_and_outliers():
     floor_m, views = cluttered(5, np.random.default_rng(1))
     empty = empty_view(views)
     known = ~np.isnan(empty.depth_m)
@@ -39,14 +39,14 @@ def test_five_views_with_parts_give_the_floor_without_parts_and_outliers():
     assert (empty.rgb[known] == 40).all(axis=-1).mean() > 0.95
 
 
-def test_the_farthest_pair_that_agrees_is_used_and_not_the_farthest_depth():
+def test_the_composite_uses_the_farthest_pair_of_agreeing_depths():
     depth_m = np.array([0.9, 0.7, 0.7004, 0.5, 0.5001]).reshape(5, 1, 1)
     assert farthest_shared(depth_m).item() == pytest.approx(0.7002)
     assert np.isnan(farthest_shared(depth_m[:2]).item())
     assert np.isnan(farthest_shared(np.full((3, 1, 1), np.nan)).item())
 
 
-def test_one_view_gives_no_composite():
+def test_a_single_view_has_no_composite():
     _, views = cluttered(1, np.random.default_rng(2))
     with pytest.raises(DatasetError, match="give at least two views"):
         empty_view(views)

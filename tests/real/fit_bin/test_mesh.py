@@ -50,7 +50,7 @@ def inside_depth(T_world_cam, crate=CRATE, camera=CAMERA):
     return np.where(visible, depth, np.nan)
 
 
-def test_pixels_see_the_faces_where_their_rays_leave_the_bin(shape):
+def test_pixels_are_assigned_to_the_faces_that_their_rays_meet(shape):
     T = pose(tilt_deg=20.0)
     grid = view(inside_depth(T)).grid(160)
     face, z = shape.cast(T, grid)
@@ -63,7 +63,7 @@ def test_pixels_see_the_faces_where_their_rays_leave_the_bin(shape):
     assert "rim and ledges" in outside
 
 
-def test_surfaces_are_named_by_their_direction(shape):
+def test_surfaces_of_a_mesh_are_named_by_their_direction(shape):
     middle = shape.mesh.vertices_m[shape.mesh.faces].mean(axis=1)
     named = np.array(shape.names)[shape.surface]
     assert set(named) == set(shape.names)
@@ -78,7 +78,7 @@ def test_surfaces_are_named_by_their_direction(shape):
                 assert (sign * middle[mine][:, axis] > 0).all()
 
 
-def test_a_point_belongs_to_its_nearest_face_at_its_distance_from_it(shape):
+def test_a_point_is_assigned_to_its_nearest_face_with_the_distance(shape):
     slope = np.hypot(1.0, CRATE.lean)
     wall = np.array([-1.0, 0.0, CRATE.lean]) / slope  # inward, of the wall towards +x
     on_wall = np.array([CRATE.half_m(0.07)[0], 0.02, 0.07])
@@ -93,7 +93,7 @@ def test_a_point_belongs_to_its_nearest_face_at_its_distance_from_it(shape):
     assert (face == NO_FACE).all()
 
 
-def test_votes_count_points_on_a_face_and_points_behind_it(shape):
+def test_points_on_a_face_and_points_behind_the_face_are_counted_as_votes(shape):
     T = pose(tilt_deg=20.0)
     grid = view(inside_depth(T)).grid(80)
     known = np.isfinite(grid.depth_m)

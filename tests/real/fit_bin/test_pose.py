@@ -32,7 +32,7 @@ def faulty(T, seed, box=BOX):
     return view(without(depth_m, T, lost))
 
 
-def test_rays_meet_the_box_where_the_rasteriser_sees_its_mesh():
+def test_ray_casting_and_rasterising_give_the_same_depth_of_the_box():
     """Oracle: rig.meshdepth on scene.bin_mesh, triangles by edge functions, without the table."""
     T = pose(tilt_deg=35.0)
     box = open_box(BOX.inner_m, BOX.wall_m)
@@ -47,7 +47,7 @@ def test_rays_meet_the_box_where_the_rasteriser_sees_its_mesh():
     assert {"floor", "wall +y", "wall +x", "wall -x", "rim -x", "outside -y"} <= names
 
 
-def test_a_point_belongs_to_its_nearest_face_at_its_distance_from_it():
+def test_a_point_is_assigned_to_its_nearest_face_with_the_distance():
     box = open_box((0.4, 0.3, 0.15), 0.01)
     point = np.array([[0.1, 0.0, 0.002], [0.198, 0.1, 0.07], [0.0, -0.149, 0.1], [0.0, 0.153, 0.1]])
     normal = np.array([[0.0, 0.6, 0.8], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
@@ -65,7 +65,7 @@ def test_a_point_belongs_to_its_nearest_face_at_its_distance_from_it():
 
 
 @pytest.mark.slow
-def test_normals_of_a_cloud_are_those_of_the_faces():
+def test_normals_of_a_cloud_equal_the_normals_of_the_faces():
     """Oracle: the bin's planes are horizontal or vertical, so one component is 1."""
     T = pose(tilt_deg=30.0)
     cloud = view(perfect_depth(T)).cloud()
@@ -75,7 +75,7 @@ def test_normals_of_a_cloud_are_those_of_the_faces():
     assert ((cloud[:, :3] * cloud[:, 3:]).sum(axis=1) < 0).all()  # towards the camera
 
 
-def test_planes_are_found_from_the_largest_on_and_face_the_camera():
+def test_planes_are_sorted_by_size_and_their_normals_point_to_the_camera():
     T = pose(tilt_deg=0.0, roll_deg=0.0, azimuth_deg=0.0, aside_m=(0.0, 0.0))
     detections = planes(view(perfect_depth(T)).grid(80).point_m, seed=0)
     camera_z = T[2, 3]  # looks straight down: a level z is the plane n = (0, 0, -1), d = z - camera
@@ -85,7 +85,7 @@ def test_planes_are_found_from_the_largest_on_and_face_the_camera():
         assert offset_m == pytest.approx(level_m - camera_z, abs=1e-6)
 
 
-def test_depth_behind_a_wall_counts_against_a_pose():
+def test_depth_behind_a_wall_lowers_the_score_of_a_pose():
     T, box = pose(), open_box(BOX.inner_m)
     grid = view(perfect_depth(T)).grid(80)
     beside = rigid(np.eye(3), np.array([0.45, 0.0, 0.0])) @ T
@@ -149,7 +149,7 @@ def test_the_map_of_residuals_shows_the_distance_of_each_face():
 
 
 @pytest.mark.slow
-def test_the_thickness_of_a_wall_need_not_be_known():
+def test_the_pose_is_found_without_the_thickness_of_the_walls():
     T = pose()
     T_world_cam = find_pose(
         [faulty(T, 4)], open_box(BOX.inner_m), azimuth_rad=0.0, seed=0
@@ -161,7 +161,7 @@ def test_the_thickness_of_a_wall_need_not_be_known():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("inner_m", "turns"), [((0.40, 0.30, 0.15), 2), ((0.35, 0.35, 0.15), 4)])
-def test_of_poses_that_look_the_same_the_one_nearest_to_the_azimuth_is_chosen(inner_m, turns):
+def test_the_pose_nearest_to_the_stated_azimuth_is_chosen_among_symmetric_poses(inner_m, turns):
     """They differ by rotations of the bin about its z."""
     box, T = Bin(inner_m=inner_m), pose(tilt_deg=5.0)
     views = [view(perfect_depth(T, box))]
@@ -174,7 +174,7 @@ def test_of_poses_that_look_the_same_the_one_nearest_to_the_azimuth_is_chosen(in
     assert wrong_by(turned, expected)[1] < 0.01
 
 
-def test_a_direction_that_no_wall_determines_is_named():
+def test_an_undetermined_direction_is_named():
     """If a bin has no depth of both walls across x, inside or outside, x is free."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
     lost = lambda p: (np.abs(p[..., 0]) > 0.18) | (p[..., 2] < -0.004)  # noqa: E731
@@ -192,7 +192,7 @@ def test_a_direction_that_no_wall_determines_is_named():
 
 
 @pytest.mark.slow
-def test_stated_deviations_agree_with_the_scatter_over_many_noises():
+def test_stated_deviations_agree_with_the_scatter_over_many_noise_samples():
     """Oracle: the scatter of 24 fits; its own relative error is 1 / sqrt(2 (n - 1)), 15 %."""
     T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
     clean = perfect_depth(T)
@@ -257,7 +257,7 @@ def test_edges_determine_a_position_that_no_wall_determines():
     assert off_m[1:] == pytest.approx([0, 0], abs=1e-12)
 
 
-def test_edges_out_of_the_picture_determine_nothing():
+def test_edges_outside_the_picture_do_not_determine_a_position():
     """A floor alone, whose ends are out of the picture, determines no position."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), distance_m=0.9)
     flat = view(np.full((120, 160), T[2, 3]))

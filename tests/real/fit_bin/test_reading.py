@@ -66,7 +66,7 @@ def test_files_that_cannot_be_a_view_are_refused(depth_file, tmp_path):
         read_views([tmp_path / "few.npy"], options=FileOptions(), own=OWN)
 
 
-def test_a_scene_of_a_dataset_has_camera_depth_and_picture(tmp_path):
+def test_a_dataset_scene_is_read_with_its_camera_depth_and_picture(tmp_path):
     samples = write_dataset(tmp_path / "out", scene_ids=(0,))
     (view,) = read_views([tmp_path / "out/train/000000"], options=FileOptions(), own=OWN)
     assert np.array_equal(view.camera.K, make_rig().camera.K)
@@ -112,7 +112,7 @@ def damaged(change):
         (damaged(lambda view: view.update(distortion=[0.1])), r"0\.distortion: .*at least 5"),
     ],
 )
-def test_damaged_cameras_of_a_scene_are_told_with_their_file(stored_scene, tmp_path, damage, why):
+def test_damaged_cameras_of_a_scene_are_named_with_their_file(stored_scene, tmp_path, damage, why):
     scene = shutil.copytree(stored_scene, tmp_path / "scene")
     path = scene / "scene_camera_sl.json"
     path.write_text(damage(path.read_text()))

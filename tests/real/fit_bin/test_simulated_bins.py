@@ -26,7 +26,7 @@ from studies.simulated_bins import LOST, study
 pytestmark = pytest.mark.slow
 
 
-def test_19_of_20_random_bins_are_found_within_1_mm_and_0_3_degrees(mitsuba_renderer):
+def test_poses_of_19_of_20_random_bins_are_found_within_1_mm_and_0_3_degrees(mitsuba_renderer):
     """With noise of the whole camera, 3 to 8 parts, and 30 % of the inner walls without depth."""
     rows = study(20, mitsuba_renderer, seed=0, on_bin=lambda row: None)
     assert all(abs(row["lost"] - LOST) < 0.005 for row in rows)
@@ -34,7 +34,7 @@ def test_19_of_20_random_bins_are_found_within_1_mm_and_0_3_degrees(mitsuba_rend
     assert sum(good) >= 19, rows
 
 
-def test_mesh_crates_are_found_equally_well(mitsuba_renderer):
+def test_poses_of_mesh_crates_are_found_within_the_same_tolerances(mitsuba_renderer):
     rows = study(8, mitsuba_renderer, seed=3, crates=True, on_bin=lambda row: None)
     good = [row["off_mm"] < 1 and row["off_deg"] < 0.3 for row in rows]
     assert sum(good) == 8, rows
@@ -170,7 +170,7 @@ def test_a_fitted_configuration_reproduces_the_pictures_of_the_fit(
     assert (base.parent / "fitted.fit.png").is_file()
 
 
-def test_without_frames_the_lamps_are_unchanged_and_the_colours_are_right(
+def test_a_fit_without_frames_keeps_the_lamps_and_finds_the_right_colours(
     tmp_path, mitsuba_renderer
 ):
     """If the floor is stated twice as bright, all reflectances double, which no picture shows."""

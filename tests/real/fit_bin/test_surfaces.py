@@ -18,7 +18,7 @@ FLOOR = Material(base_color=(0.1, 0.3, 0.6), projector_reflectance=0.2)
 SIZE_M = (0.4, 0.3, 0.15)
 
 
-def test_a_bin_of_one_material_is_one_mesh():
+def test_a_bin_with_one_material_is_a_single_mesh():
     box = Bin(inner_m=SIZE_M, material=WALLS)
     ((name, mesh, material),) = bin_surfaces(box)
     assert (name, material) == ("bin", WALLS)
@@ -27,7 +27,7 @@ def test_a_bin_of_one_material_is_one_mesh():
         assert np.array_equal(getattr(mesh, array), getattr(whole, array))
 
 
-def test_the_floor_is_the_inner_rectangle_at_height_0_and_the_walls_are_the_rest():
+def test_the_inner_rectangle_at_height_0_is_the_floor_and_the_rest_is_walls():
     box = Bin(inner_m=SIZE_M, material=WALLS, floor=FLOOR)
     (_, walls, material), (_, floor, own) = bin_surfaces(box)
     assert (material, own) == (WALLS, FLOOR)
@@ -56,14 +56,14 @@ def test_the_floor_also_has_a_grey_in_the_projector_s_light():
     assert red.bin.floor.base_color == (0.1, 0.1, 0.1)
 
 
-def test_decoding_a_colour_undoes_encoding_it():
+def test_a_colour_is_unchanged_by_encoding_and_decoding():
     every = np.arange(256, dtype=np.uint8)
     assert np.array_equal(srgb(linear(every)), every)
     assert linear(np.array([188], dtype=np.uint8))[0] == pytest.approx(0.5, abs=0.005)
 
 
 @pytest.mark.slow
-def test_a_floor_of_the_walls_material_does_not_change_the_light(mitsuba_renderer):
+def test_a_floor_with_the_material_of_the_walls_does_not_change_the_light(mitsuba_renderer):
     """Same paths, same light, up to the rounding of float32."""
     plain, split = (_rendered(mitsuba_renderer, floor) for floor in (None, WALLS))
     for name in ("white", "ambient", "white_rgb"):
@@ -102,7 +102,7 @@ def _rendered(renderer, floor, depth=4):
     return renderer.render(world, EMPTY_LAYOUT, nothing, quality=quality, seed=3)
 
 
-def test_a_mottled_material_can_take_the_brightest_colour_of_a_fit():
+def test_a_mottled_material_accepts_the_brightest_colour_of_a_fit():
     """A mottle limits the colour of a material, and a step of the fit once ended with an error."""
     blasted = material_preset("aluminium-blasted").material
     white = recolored(blasted, (0.98, 0.98, 0.98))

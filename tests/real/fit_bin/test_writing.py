@@ -52,7 +52,7 @@ def test_fitted_sections_replace_only_the_same_sections(tmp_path):
     assert "# from a fit\n# of two lines\nview:" in text
 
 
-def test_a_configuration_in_braces_is_written_in_lines(tmp_path):
+def test_a_configuration_in_braces_is_rewritten_in_separate_lines(tmp_path):
     base = "{parts: [{builtin: toothpaste}], count: 4}"
     text = fitted_text(base, tmp_path / "c.yaml", {"view": VIEW}, {})
     assert yaml.safe_load(text) == yaml.safe_load(base) | {"view": VIEW}
@@ -138,7 +138,7 @@ def cell(**changes):
     return Config.model_validate({"parts": [{"builtin": "toothpaste"}]} | changes)
 
 
-def test_an_exact_pose_is_the_camera_s(tmp_path):
+def test_an_exact_pose_is_the_pose_of_the_camera(tmp_path):
     scene = resolve_cell(
         cell(view=VIEW, bin={"material": {"base_color": [0.5, 0.4, 0.3]}}), tmp_path
     ).scene

@@ -209,7 +209,7 @@ def test_validate_detects_damage_of_the_import(real, samples, name):
 
 
 @pytest.mark.slow
-def test_other_readers_accept_the_import_like_any_dataset(real, samples):
+def test_all_readers_of_datasets_accept_an_import(real, samples):
     """These are the measures of realism, and every export that needs no more data."""
     out, _ = imported(real, samples)
     scans = list(read_scans([out]))
@@ -303,7 +303,7 @@ def test_objects_get_the_numbers_of_a_named_dataset(real, samples):
     assert "name 'wedge'" in refusal(real, samples, names=["box"])
 
 
-def test_pictures_without_labels_are_imported_if_this_is_requested(real, samples):
+def test_pictures_without_labels_are_imported_on_request(real, samples):
     shutil.rmtree(real / "annotations")
     assert "or --unlabelled" in refusal(real, samples)
     out, _ = imported(real, samples, labelled=False)
@@ -428,7 +428,7 @@ def run(*words):
 
 
 @pytest.mark.slow
-def test_the_commands_report_their_result_and_what_is_unknown(real, samples, capsys):
+def test_the_commands_report_their_result_and_missing_data(real, samples, capsys):
     out, coco = real.parent / "out", real.parent / "coco"
     arguments = ["--scale", SCALE_M, "--intrinsics", "212,214,78.3,61.7"]
     assert run("dataset", "import", real, "--out", out, *arguments) == 0

@@ -83,7 +83,7 @@ def test_an_outline_far_beyond_the_picture_is_not_cut(tmp_path):
     assert "its corner (99.1, 10) lies outside of the picture of 96 x 64 pixels" in far
 
 
-def test_backslashes_in_names_are_read_and_hidden_files_ignored(tmp_path):
+def test_names_with_backslashes_are_read_and_hidden_files_are_ignored(tmp_path):
     content = coco()
     for image in content["images"]:
         image["file_name"] = f"rgb\\{image['file_name']}"

@@ -64,7 +64,7 @@ def test_the_fit_returns_kind_color_and_roughness_inside_its_intervals(
 
 
 @pytest.mark.slow
-def test_color_of_metal_is_not_determined_without_a_scale(cpu_device, tmp_path):
+def test_the_color_of_metal_is_not_determined_without_a_scale(cpu_device, tmp_path):
     """Twice the light of a projector of unknown intensity is no other metal."""
     pixels = lit(heap(2000, widest_rad=0.5, seed=3), surface("metal", 0.5, 0.4))
     fit = fit_material(pixels, scale=None, seed=0)
@@ -114,7 +114,7 @@ def test_a_known_metal_gets_its_scattered_share(cpu_device, scale):
 
 
 @pytest.mark.slow
-def test_a_surface_under_one_angle_has_no_roughness(cpu_device):
+def test_roughness_is_not_determined_from_one_angle(cpu_device):
     pixels = lit(heap(800, widest_rad=0.01, seed=3), surface("plastic", 0.5, 0.5))
     fit = fit_material(pixels, scale=SCALE, seed=0)
     assert fit.roughness.high - fit.roughness.low > fitting.WIDE
@@ -122,7 +122,7 @@ def test_a_surface_under_one_angle_has_no_roughness(cpu_device):
 
 
 @pytest.mark.slow
-def test_light_that_follows_no_surface_is_refused(cpu_device):
+def test_light_that_fits_no_material_is_refused(cpu_device):
     """Light at random, over three orders of magnitude, as through glass."""
     pixels = heap(800, widest_rad=0.5, seed=3)
     light = SCALE * np.exp(2 * np.random.default_rng(0).normal(size=800))
@@ -172,7 +172,7 @@ def test_the_scale_follows_from_a_white_sheet_by_lamberts_law():
         scale_of(white.part(np.arange(50)), 0.8)
 
 
-def test_the_text_is_a_material_section_with_the_fitted_numbers(tmp_path):
+def test_the_result_is_printed_as_a_material_section_with_the_fitted_numbers(tmp_path):
     import yaml
 
     interval = fitting.FittedValue(value=0.4, low=0.38, high=0.43)

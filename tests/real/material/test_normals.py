@@ -23,7 +23,7 @@ def angles_rad(normals, truth):
     return np.arccos(np.clip((normals.normal * truth).sum(axis=-1), -1, 1))
 
 
-def test_normals_of_a_plane_err_as_much_as_they_say():
+def test_the_errors_of_plane_normals_agree_with_their_stated_sigma():
     """Two independent axes of sigma each have a mean squared angle of 2 sigma^2 together."""
     normal = np.array([0.3, -0.4, -0.866])
     normal /= np.linalg.norm(normal)
@@ -35,7 +35,7 @@ def test_normals_of_a_plane_err_as_much_as_they_say():
     assert 0.8 < ratio < 1.25
 
 
-def test_a_roof_keeps_two_normals_up_to_its_ridge():
+def test_normals_of_a_roof_are_not_mixed_across_its_ridge():
     """Planes of 90 degrees meet in a vertical ridge: no normal is a mixture of both."""
     sides = [np.array([sign * np.sqrt(0.5), 0.0, -np.sqrt(0.5)]) for sign in (-1, 1)]
     depth_m = np.maximum(*(plane_depth_m(side, -0.4) for side in sides))
@@ -46,7 +46,7 @@ def test_a_roof_keeps_two_normals_up_to_its_ridge():
     assert np.quantile(nearest, 0.99) < np.radians(3)
 
 
-def test_normals_of_a_ball_point_away_from_its_middle():
+def test_normals_of_a_ball_point_away_from_its_centre():
     """A ball of 60 mm; the oracle is the line from its middle through each point."""
     ray = picture_rays(CAMERA)
     middle = np.array([0.01, -0.02, 0.5])
@@ -61,7 +61,7 @@ def test_normals_of_a_ball_point_away_from_its_middle():
     assert np.quantile(angles_rad(normals, truth)[steep], 0.9) < np.radians(5)
 
 
-def test_pixels_outside_the_mask_have_no_normal_and_give_none():
+def test_pixels_outside_the_mask_have_no_normal_and_affect_no_normal():
     depth_m = plane_depth_m(np.array([0.0, 0.0, -1.0]), -0.5)
     inside = np.zeros(depth_m.shape, bool)
     inside[:, 80:] = True

@@ -47,7 +47,7 @@ def codes_of(depth_m, mark=None):
     return CodeMap(**maps, modulation=zero.copy(), reason=reason, mark=mark)
 
 
-def test_light_of_a_matt_ball_is_its_reflectance_times_the_cosine_anywhere(ball):
+def test_the_light_of_a_matt_ball_is_its_reflectance_times_the_cosine(ball):
     """Oracle: Lambert's law and the exact renderer, which shares no code with the division."""
     rig, depth_m, white = ball
     observed = observe(rig, codes_of(depth_m), depth_m, white, LEVELS)
@@ -59,7 +59,7 @@ def test_light_of_a_matt_ball_is_its_reflectance_times_the_cosine_anywhere(ball)
     assert np.abs(np.quantile(ratio, [0.05, 0.95]) - 1).max() < 0.06
 
 
-def test_twice_the_exposure_leaves_the_light_as_it_is(ball):
+def test_doubling_the_exposure_does_not_change_the_measured_light(ball):
     rig, depth_m, white = ball
     exposure = np.ones(white.shape)
     exposure[:, ::2] = 2
@@ -68,7 +68,7 @@ def test_twice_the_exposure_leaves_the_light_as_it_is(ball):
     assert np.allclose(both.light, one.light)
 
 
-def test_a_clipped_pixel_and_a_pixel_outside_the_mask_are_told_apart(ball):
+def test_a_clipped_pixel_is_distinguished_from_a_pixel_outside_the_mask(ball):
     rig, depth_m, white = ball
     mark = np.zeros(white.shape, dtype=np.uint8)
     mark[55:60, 75:85] = Mark.CLIPPED

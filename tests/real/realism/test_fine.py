@@ -54,7 +54,7 @@ def test_noise_of_a_ball_is_measured_where_no_plane_can_be_fitted():
     assert figures.fine.percentiles_m[2] == pytest.approx(SIGMA_M, rel=0.03)
 
 
-def test_fine_noise_is_assigned_to_the_brightness_of_its_pixels():
+def test_fine_noise_is_grouped_by_the_brightness_of_its_pixels():
     rng = np.random.default_rng(6)
     gray = np.full((240, 320), 0.7)
     gray[:, 160:] = 0.05
@@ -79,7 +79,7 @@ def test_steep_planes_are_compared_with_facing_ones():
     assert fine.steep_to_facing == pytest.approx(2.0, rel=0.05)
 
 
-def test_incidence_is_the_angle_between_ray_and_normal():
+def test_the_angle_of_incidence_is_between_ray_and_normal():
     tilt_rad = 0.6
     depth_m = plane(tilt_rad) + 1e-7 * np.random.default_rng(5).standard_normal((240, 320))
     fine = measure_fine(scan(depth_m))
@@ -90,7 +90,7 @@ def test_incidence_is_the_angle_between_ray_and_normal():
     assert np.sort(fine.incidence_rad) == pytest.approx(np.sort(expected), abs=3e-3)
 
 
-def test_a_pair_gives_the_independent_noise_and_its_correlation():
+def test_two_maps_of_a_scene_give_the_independent_noise_and_its_correlation():
     """Shape and a fixed pattern cancel; the mean of two neighbours has a half at lag 1."""
     rng = np.random.default_rng(8)
     fixed = plane(0.3) + 3e-4 * rng.standard_normal((240, 320))
@@ -114,13 +114,13 @@ def test_movement_between_two_maps_is_not_counted_as_noise():
     assert pair.pixels < 240 * 320 - 100 * 120 + 1
 
 
-def test_maps_of_two_cameras_are_not_a_pair():
+def test_maps_from_two_cameras_are_not_accepted_as_a_pair():
     other = scan(plane(), K=np.array([[310.0, 0, 159.5], [0, 310.0, 119.5], [0, 0, 1]]))
     assert measure_pair(scan(plane()), other) is None
     assert pool([measure_scan(scan(plane()))], name="one").pairs.sigma_m is None
 
 
-def test_islands_are_counted_by_size():
+def test_islands_of_missing_pixels_are_counted_by_size():
     depth_m = np.full((60, 60), 0.5)
     depth_m[5, 5] = depth_m[20, 20:23] = depth_m[40, 10:17] = np.nan
     depth_m[30, 40:45] = np.nan

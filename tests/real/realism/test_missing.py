@@ -14,7 +14,7 @@ def record(*scans):
 
 
 @pytest.mark.slow
-def test_shares_are_of_all_pixels_of_all_maps():
+def test_shares_of_missing_pixels_refer_to_all_pixels_of_all_maps():
     full, half = plane(), plane()
     half = np.concatenate([half[:120], np.full_like(half[:120], np.nan)])
     assert record(scan(full), scan(half)).missing.share == 0.25
@@ -58,7 +58,7 @@ def test_a_gradual_drop_out_has_its_width():
     assert drop.last - drop.first == pytest.approx(0.05, abs=0.015)
 
 
-def test_missing_pixels_of_any_brightness_give_no_step():
+def test_missing_pixels_that_do_not_depend_on_brightness_show_no_drop_out_step():
     rng = np.random.default_rng(3)
     depth_m, gray = plane(), rng.uniform(0, 1, plane().shape)
     depth_m[rng.random(depth_m.shape) < 0.3] = np.nan

@@ -61,7 +61,7 @@ def test_npy_and_png_hold_the_same_map(tmp_path, depth_m):
     np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-12)
 
 
-def test_the_largest_number_is_no_depth_in_files_and_in_scene_folders(tmp_path, depth_m):
+def test_the_largest_number_means_unknown_depth_in_files_and_scene_folders(tmp_path, depth_m):
     steps = np.nan_to_num(depth_m / SCALE_M).round().astype(np.uint16)
     steps[steps == 0] = 65535
     scene = tmp_path / "000000"
@@ -73,7 +73,7 @@ def test_the_largest_number_is_no_depth_in_files_and_in_scene_folders(tmp_path, 
         np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-12)
 
 
-def test_a_map_of_one_channel_is_read_as_a_map(tmp_path, depth_m):
+def test_a_depth_map_with_one_channel_is_read_as_a_plain_map(tmp_path, depth_m):
     np.save(tmp_path / "a.npy", depth_m[..., None])
     np.testing.assert_array_equal(one(tmp_path / "a.npy", K=K).depth_m, depth_m)
 
@@ -124,7 +124,7 @@ def bop_scene(folder, depth_m, suffix=""):
 
 
 @pytest.mark.parametrize("level", ["", "train", "train/000003"])
-def test_a_dataset_of_ours_gives_all_data(tmp_path, depth_m, level):
+def test_a_dataset_of_graycast_gives_all_data(tmp_path, depth_m, level):
     scene = tmp_path / "train" / "000003"
     bop_scene(scene, depth_m, "_sl")
     bop_scene(scene, np.full((30, 40), 0.7))  # perfect depth, which must not be used
@@ -147,7 +147,7 @@ def test_another_bop_dataset_is_read_by_its_standard_names(tmp_path, depth_m):
     assert scan.reason is None
 
 
-def test_a_folder_is_read_in_the_order_of_names(tmp_path, depth_m):
+def test_files_in_a_folder_are_read_in_the_order_of_their_names(tmp_path, depth_m):
     for name in ("b", "a", "c"):
         np.save(tmp_path / f"{name}.npy", depth_m)
     assert [s.name[-5:] for s in read_scans([tmp_path], options=FileOptions(K=K))] == [
@@ -158,7 +158,7 @@ def test_a_folder_is_read_in_the_order_of_names(tmp_path, depth_m):
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".txt", ".json", "text", "camera", "list"])
-def test_intrinsics_are_read_from_every_form(tmp_path, suffix):
+def test_intrinsics_are_read_from_every_supported_format(tmp_path, suffix):
     path = tmp_path / f"K{suffix}"
     match suffix:
         case ".npy":

@@ -25,7 +25,7 @@ def baseline(scans):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_jumps_are_on_every_side_except_that_of_the_shadow(side):
+def test_depth_jumps_are_on_every_side_except_the_side_of_the_shadow(side):
     """One plate has as many jumps as rows or columns, and none into its shadow."""
     projector_m, shadowed = SIDES[side]
     depth_m = plates(projector_m, [(-0.1, -0.1, 0.12, 0.08, 0.9)])
@@ -55,7 +55,7 @@ def test_the_width_of_a_gap_follows_its_formula(side):
     + [("right", 0.0)]
     + [slow(side, 0.0) for side in SIDES if side != "right"],
 )
-def test_shadows_give_side_and_length_of_the_baseline(side, forward_m):
+def test_shadows_show_the_side_and_length_of_the_baseline(side, forward_m):
     projector_m = (*SIDES[side][0][:2], forward_m)
     rng = np.random.default_rng(1)
     scans = [scan(plates(projector_m, scattered_plates(rng))) for _ in range(6)]
@@ -96,7 +96,7 @@ def test_random_holes_show_no_projector():
     assert baseline([scan(depth_m)]) is None
 
 
-def test_flying_pixels_are_counted_one_by_one():
+def test_flying_pixels_are_counted_individually():
     """Every second row of a plate's right rim has a pixel between plate and wall."""
     depth_m = plates((-0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     clean = count_steps(scan(depth_m))
@@ -151,7 +151,7 @@ def test_a_mirrored_map_has_mirrored_jumps():
     assert (there.flying, there.below_farther) == (back.flying, back.below_farther)
 
 
-def test_an_outlier_in_front_of_or_behind_both_surfaces_is_not_flying():
+def test_an_outlier_beyond_the_two_surfaces_is_not_a_flying_pixel():
     """It is wrong, but not between them: islands and outliers count it."""
     depth_m = plates((-0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     y, x = np.nonzero(depth_m == 0.8)

@@ -36,7 +36,7 @@ def maps(count, seed, *, sigma_m=2e-4, smoothed=False, drop=0.0, step_m=0.0):
 
 
 @pytest.mark.slow
-def test_sets_of_one_law_cannot_be_distinguished():
+def test_sets_from_the_same_distribution_cannot_be_distinguished():
     """Their AUC is near a half for every group and classifier."""
     a, b = (cut_squares(maps(4, seed)) for seed in (1, 2))
     for place in ("smooth", "floor"):
@@ -62,7 +62,7 @@ def test_sets_that_differ_in_the_sensor_are_distinguished(change, feature):
 
 
 @pytest.mark.slow
-def test_a_slope_of_another_direction_distinguishes_nothing():
+def test_sets_cannot_be_distinguished_by_the_direction_of_a_slope():
     """The features are blind to shape: the same noise on planes that lean to opposite sides."""
     first, second = maps(3, 1), [scan(one.depth_m[:, ::-1].copy()) for one in maps(3, 2)]
     test = two_sample_test(first, second, names=("a", "b"), seed=0)
@@ -101,7 +101,7 @@ def test_coarse_steps_of_files_do_not_distinguish_two_sets(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_estimated_floor_is_the_true_plane():
+def test_the_estimated_floor_agrees_with_the_true_plane():
     tilt_rad, distance_m = 0.3, 0.5
     depth_m = [one.depth_m.copy() for one in maps(2, 1)]
     for one in depth_m:
@@ -114,7 +114,7 @@ def test_the_estimated_floor_is_the_true_plane():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *map(slow, range(1, 6))])
-def test_a_floor_is_found_if_it_is_an_eighth_of_the_depth(seed):
+def test_a_floor_that_covers_an_eighth_of_the_depth_is_found(seed):
     """The rest are randomly tilted boxes, each smaller than the visible floor.
 
     Three random pixels are all on the floor once in 512 draws.
@@ -145,7 +145,7 @@ def test_second_differences_do_not_depend_on_curvature():
     assert patches.third_difference(white).std() == pytest.approx(1.0, rel=0.02)
 
 
-def test_one_map_is_refused_and_so_is_a_missing_package(monkeypatch):
+def test_a_set_of_one_map_and_a_missing_package_are_refused(monkeypatch):
     with pytest.raises(
         GraycastError, match="depth map: give at least two, because the test leaves out each map"
     ):

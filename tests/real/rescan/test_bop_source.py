@@ -79,7 +79,7 @@ def test_a_cube_is_read_with_its_depth_pose_and_camera(tmp_path):
     assert source.plain == {1}
 
 
-def test_parts_of_a_dataset_of_ours_keep_their_names(tmp_path):
+def test_parts_of_a_dataset_of_graycast_keep_their_names(tmp_path):
     simulated_dataset.write_dataset(tmp_path / "ours", (0,))
     claim = json.loads((tmp_path / "ours/graycast.json").read_text())
     names = {part["obj_id"]: part["name"] for part in claim["parts"]}
@@ -101,7 +101,7 @@ def test_the_reader_for_training_reads_the_same_depth_and_poses(tmp_path):
     assert np.array_equal(example.rgb, image.rgb)
 
 
-def test_files_of_blenderproc_need_only_models_or_depth(tmp_path):
+def test_files_from_blenderproc_are_read_with_either_models_or_depth(tmp_path):
     split = write_dataset(tmp_path / "lm")
     (tmp_path / "lm/models").rename(tmp_path / "elsewhere")
     write_json(tmp_path / "lm/camera.json", {"fx": 1.0})
@@ -113,7 +113,7 @@ def test_files_of_blenderproc_need_only_models_or_depth(tmp_path):
     assert image.T_cam_part.shape == (0, 4, 4)
 
 
-def test_cad_models_are_preferred_to_reconstructed_ones_and_those_for_scores(tmp_path):
+def test_cad_models_are_preferred_to_reconstructed_models_and_models_for_scores(tmp_path):
     split = write_dataset(tmp_path)
     (tmp_path / "models").rename(tmp_path / "models_eval")
     assert np.allclose(opened(split).parts[1].mesh.extent_m, 0.06)
@@ -135,7 +135,7 @@ def test_grey_pictures_have_three_equal_bands(tmp_path):
     assert (opened(split).read(0, 0).rgb == (3, 2, 1)).all()  # colours are preferred
 
 
-def test_tiff_floats_have_a_scale_and_may_be_unknown(tmp_path):
+def test_depth_in_tiff_floats_is_scaled_and_may_have_unknown_pixels(tmp_path):
     split = write_dataset(tmp_path)
     (split / "000000/depth/000000.png").unlink()
     values = (true_depth_m() * 1e3 / SCALE_MM).astype(np.float32)
@@ -180,7 +180,7 @@ def test_a_dataset_with_one_camera_needs_no_sensor(tmp_path):
     refusal(write_dataset(tmp_path), "leave out --sensor cam1", sensor="cam1")
 
 
-def test_a_scale_of_the_user_replaces_the_file_s(tmp_path):
+def test_a_depth_scale_given_by_the_user_replaces_the_scale_in_the_file(tmp_path):
     split = write_dataset(tmp_path)
     doubled = opened(split, depth_scale_mm=2 * SCALE_MM).read(0, 0).depth_m
     assert np.allclose(doubled, 2 * opened(split).read(0, 0).depth_m)
@@ -249,7 +249,7 @@ def test_rounded_rotations_are_corrected_and_others_are_refused(tmp_path):
         ("scene_gt", {"cam_t_m2c": [0, float("nan"), 500]}, ("cam_t_m2c", "finite")),
     ],
 )
-def test_impossible_values_of_a_file_are_refused_by_name(tmp_path, name, entry, words):
+def test_impossible_values_in_a_file_are_refused_by_name(tmp_path, name, entry, words):
     split = write_dataset(tmp_path)
     change(split / f"000000/{name}.json", **entry)
     refusal(split, f"{name}.json" if entry != {"obj_id": 4} else "models", *words)
@@ -304,7 +304,7 @@ def test_a_depth_of_zero_or_of_the_largest_number_is_unknown(tmp_path, none):
 
 
 @pytest.mark.parametrize("name", ["0000.png", "0.png", "0000000.tif", "000000.npy", "0000.npy"])
-def test_pictures_with_another_number_of_digits_are_found(tmp_path, name):
+def test_pictures_whose_names_have_another_number_of_digits_are_read(tmp_path, name):
     split = write_dataset(tmp_path)
     folder = split / "000000/depth"
     stored = folder / "000000.png"

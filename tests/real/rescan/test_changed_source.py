@@ -90,7 +90,7 @@ def claim_of(source, spec=SPEC):
     return _claim(task)
 
 
-def test_every_option_is_in_the_claim_or_changes_no_result(original):
+def test_every_option_that_changes_the_result_is_in_the_claim(original):
     source = open_source(original / "lm/train_pbr")
     options = replace(source.options, intrinsics=K)
     source = replace(source, options=options)
@@ -105,7 +105,7 @@ def test_every_option_is_in_the_claim_or_changes_no_result(original):
     assert alike == NO_OTHER_RESULT
 
 
-def test_the_claim_depends_on_the_intrinsics_and_not_on_their_file_name(original, tmp_path):
+def test_the_claim_depends_on_the_intrinsics_but_not_on_their_file_name(original, tmp_path):
     source = open_source(original / "lm/train_pbr")
     file = tmp_path / "K.txt"
     file.write_text("90 0 31\n0 91 24.5\n0 0 1\n")
@@ -119,7 +119,7 @@ def test_the_claim_depends_on_the_intrinsics_and_not_on_their_file_name(original
     assert fingerprint(K) != fingerprint(str(file))
 
 
-def test_a_stated_look_differs_from_no_look_in_the_claim(original):
+def test_the_claim_of_a_source_changes_with_a_stated_look(original):
     """The grey of an object without a look is replaced by the mean colour of the pictures."""
     source = open_source(original / "lm/train_pbr")
     assert source.plain == {1}
@@ -127,7 +127,7 @@ def test_a_stated_look_differs_from_no_look_in_the_claim(original):
     assert claim_of(source)["fingerprint"] != claim_of(stated)["fingerprint"]
 
 
-def test_an_added_option_is_in_the_claim():
+def test_a_newly_added_option_is_in_the_claim():
     new = make_dataclass("New", [("added", int, 0)], bases=(SourceOptions,), frozen=True)
     assert claimed_options(new(added=3), without=("models",)) == {
         "sensor": "",
@@ -207,7 +207,7 @@ def test_an_image_missing_in_the_source_is_named(root):
     assert "has changed since it was scanned" in problems(root)[0]
 
 
-def test_json_files_with_only_another_layout_count_as_equal(root):
+def test_json_files_that_differ_only_in_layout_count_as_equal(root):
     for name in ("scene_gt", "scene_camera"):
         path = root / f"lm/train_pbr/000000/{name}.json"
         path.write_text(json.dumps(json.loads(path.read_text()), indent=7))
@@ -228,7 +228,7 @@ def test_a_moved_dataset_can_be_continued_if_its_old_path_links_to_it(root):
     assert again(root).there == 2 and problems(root) == []
 
 
-def test_the_poses_are_compared_if_a_record_has_no_checksums(root):
+def test_poses_are_compared_if_a_record_has_no_checksums(root):
     """Records of earlier versions have none."""
     scene = root / "out/train_pbr/000000"
     for path in (scene / "scan_sl").iterdir():
@@ -245,7 +245,7 @@ def test_the_poses_are_compared_if_a_record_has_no_checksums(root):
 
 
 @pytest.mark.slow
-def test_a_change_of_depth_only_is_named(tmp_path):
+def test_a_change_that_affects_only_depth_is_named(tmp_path):
     (tmp_path / "in/depth").mkdir(parents=True)
     depth_m = true_depth_m().astype(np.float32)
     np.save(tmp_path / "in/depth/a.npy", depth_m)
@@ -288,7 +288,7 @@ def test_links_to_missing_files_are_named(root):
     assert GONE.format(scene) in str(caught.value)
 
 
-def test_a_picture_that_is_a_dead_link_is_not_a_missing_one(root):
+def test_a_picture_that_is_a_dead_link_is_not_reported_as_missing(root):
     picture = root / "lm/train_pbr/000000/rgb/000000.jpg"
     picture.rename(root / "away.jpg")
     picture.symlink_to(root / "gone/away.jpg")
@@ -299,7 +299,7 @@ def test_a_picture_that_is_a_dead_link_is_not_a_missing_one(root):
 
 
 @pytest.mark.slow
-def test_copies_replace_links(root):
+def test_a_rescan_with_copies_replaces_existing_links(root):
     source = open_source(root / "lm/train_pbr")
     rescan(source, RIG, root / "out", replace(SPEC, copies=True))
     assert not [path for path in (root / "out").rglob("*") if path.is_symlink()]
@@ -308,7 +308,7 @@ def test_copies_replace_links(root):
     assert open_examples(root / "out/train_pbr")[0].rgb is not None
 
 
-def test_a_dead_link_is_made_again(root):
+def test_a_dead_link_is_replaced_by_a_valid_link(root):
     """The folder of the original exists again, and the link of an earlier run is dead."""
     link = root / "out/train_pbr/000000/rgb"
     link.unlink()

@@ -46,7 +46,7 @@ def intrinsics(tmp_path):
         "90,91,31,24.5",
     ],
 )
-def test_floats_are_metres_and_the_camera_is_the_user_s(tmp_path, content):
+def test_depth_in_floats_is_in_metres_and_uses_the_camera_of_the_user(tmp_path, content):
     folder = tmp_path / "scans"
     (folder / "depth").mkdir(parents=True)
     np.save(folder / "depth/b.npy", true_depth_m())
@@ -68,7 +68,7 @@ def test_floats_are_metres_and_the_camera_is_the_user_s(tmp_path, content):
     assert image.rgb is None and len(image.obj_id) == len(image.T_cam_part) == 0
 
 
-def test_whole_numbers_have_the_user_s_scale(tmp_path, intrinsics):
+def test_depth_in_whole_numbers_uses_the_scale_of_the_user(tmp_path, intrinsics):
     steps = np.rint(true_depth_m() * 1e4).astype(np.uint16)
     rgb = np.random.default_rng(0).integers(0, 256, (48, 64, 3)).astype(np.uint8)
     png(tmp_path / "depth/x.png", steps)
@@ -84,7 +84,7 @@ def test_whole_numbers_have_the_user_s_scale(tmp_path, intrinsics):
     refusal(tmp_path, "x.png", "16 bits", intrinsics=intrinsics, depth_scale_mm=0.1)
 
 
-def test_options_that_depth_alone_cannot_have_are_refused(tmp_path, intrinsics):
+def test_options_that_need_models_are_refused_for_depth_alone(tmp_path, intrinsics):
     (tmp_path / "depth").mkdir()
     refusal(tmp_path, "--intrinsics")
     refusal(tmp_path, "depth", intrinsics=intrinsics)

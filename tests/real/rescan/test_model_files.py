@@ -82,7 +82,7 @@ def test_a_texture_is_kept_with_its_coordinates(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["toothpaste", "metal_workpiece_1", "metal_workpiece_2"])
-def test_models_written_by_this_program_are_read_back(tmp_path, name):
+def test_models_written_by_graycast_are_read_back(tmp_path, name):
     """Oracle: the part that was written: shape, print and symmetries."""
     part = builtin_part(name)
     for file, content in model_files((part,)).items():
@@ -114,7 +114,7 @@ def test_an_open_mesh_has_normals_and_no_look(tmp_path):
         (60.0, 30.0, ("models_info.json says", "17.1 to 30 mm")),
     ],
 )
-def test_a_model_of_another_unit_is_refused(tmp_path, side, diameter, words):
+def test_a_model_in_another_unit_is_refused(tmp_path, side, diameter, words):
     write_models(tmp_path, side=side)
     if diameter is not None:
         write_json(tmp_path / "models_info.json", {"1": {"diameter": diameter}})
@@ -124,7 +124,7 @@ def test_a_model_of_another_unit_is_refused(tmp_path, side, diameter, words):
 @pytest.mark.parametrize(
     ("unit", "mm"), [("m", 1000.0), ("cm", 10.0), ("inch", 25.4)], ids=["m", "cm", "inch"]
 )
-def test_a_model_of_another_unit_is_converted_if_its_diameter_shows_the_unit(tmp_path, unit, mm):
+def test_a_model_in_another_unit_is_converted_if_its_diameter_shows_the_unit(tmp_path, unit, mm):
     """Oracle: the same cube in millimetres."""
     write_models(tmp_path / "right")
     write_json(tmp_path / "right/models_info.json", {"1": {"diameter": 103.9}})
@@ -156,7 +156,7 @@ def test_a_dataset_in_metres_is_converted_with_its_symmetries(tmp_path):
     assert "in m, and its models_info.json in m" in models.notes[0]
 
 
-def test_a_stated_unit_needs_no_diameter_and_is_preferred_to_it(tmp_path):
+def test_a_stated_unit_takes_precedence_over_the_unit_shown_by_the_diameter(tmp_path):
     write_models(tmp_path, side=0.06)
     refusal(tmp_path, "0.06 mm", "seems to be in m", "--unit")
     models = read_models(bop_models(tmp_path.parent, tmp_path, "m"), {1}, None)
@@ -209,7 +209,7 @@ def test_materials_are_assigned_by_id_by_name_and_by_default(tmp_path):
         ("[brass]", ("looks.yaml", "no keys")),
     ],
 )
-def test_a_materials_file_is_refused_by_its_key(tmp_path, text, words):
+def test_an_invalid_key_in_a_materials_file_is_refused_by_name(tmp_path, text, words):
     write_models(tmp_path)
     (tmp_path / "looks.yaml").write_text(text)
     refusal(tmp_path, *words, error=ConfigError, materials=tmp_path / "looks.yaml")

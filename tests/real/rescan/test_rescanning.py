@@ -138,7 +138,7 @@ def test_pixels_that_the_projector_cannot_light_have_their_own_reason(tmp_path):
     assert np.mean(reason[beside] == Reason.OUTSIDE_PROJECTOR) > 0.97  # stray light has codes
 
 
-def test_noise_differs_from_a_dataset_of_the_same_seed_and_from_another_rig(dataset):
+def test_the_noise_of_a_rescan_differs_from_that_of_a_dataset_and_of_another_rig(dataset):
     root, _, _ = dataset
     for image, record in image_records(root / "out/train_pbr/000000").items():
         assert record.seeds == rescan_seeds(3, 0, scanner=RIG.rig.name, image=image)
@@ -146,7 +146,7 @@ def test_noise_differs_from_a_dataset_of_the_same_seed_and_from_another_rig(data
         assert not set(record.seeds.values()) & set(source.values())
 
 
-def test_the_layout_is_that_of_the_original_with_links_to_it(dataset):
+def test_a_rescan_has_the_layout_of_the_original_and_links_to_its_files(dataset):
     root, split, _ = dataset
     scene = root / "out/train_pbr/000000"
     assert (root / "out/models").resolve() == (root / "lm/models").resolve()
@@ -272,7 +272,7 @@ def test_a_rig_of_another_range_is_refused_before_any_work(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_odd_first_image_does_not_end_the_run(tmp_path):
+def test_a_first_image_that_cannot_be_scanned_does_not_end_the_run(tmp_path):
     split = write_dataset(tmp_path / "lm", images=(0, 1))
     file = split / "000000/scene_camera.json"
     views = json.loads(file.read_text())
@@ -286,7 +286,7 @@ def test_an_odd_first_image_does_not_end_the_run(tmp_path):
 
 
 @pytest.mark.slow
-def test_only_whole_copies_of_the_scenes_that_are_scanned_are_there(dataset, tmp_path, monkeypatch):
+def test_a_rescan_contains_only_complete_copies_of_scanned_scenes(dataset, tmp_path, monkeypatch):
     _, split, _ = dataset
     copy = shutil.copy2
 
@@ -309,7 +309,7 @@ def test_only_whole_copies_of_the_scenes_that_are_scanned_are_there(dataset, tmp
     assert not [path for path in out.rglob("*") if path.is_symlink()]
 
 
-def test_the_original_is_not_written_to(tmp_path):
+def test_a_rescan_does_not_write_to_the_original(tmp_path):
     split = write_dataset(tmp_path / "lm")
     with pytest.raises(GraycastError, match="which is not changed"):
         rescan(open_source(split), RIG, split / "new", spec())
@@ -318,7 +318,7 @@ def test_the_original_is_not_written_to(tmp_path):
 
 
 @pytest.mark.slow
-def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
+def test_depth_without_models_becomes_a_dataset_in_bop_format(tmp_path):
     """The rig's own camera scans, and files are copied, so the result has no links to the input."""
     (tmp_path / "in/depth").mkdir(parents=True)
     np.save(tmp_path / "in/depth/a.npy", true_depth_m().astype(np.float32))
@@ -342,7 +342,7 @@ def test_depth_alone_becomes_a_dataset_in_bop_s_form(tmp_path):
     assert open_foreign(tmp_path / "out/depth").read(0).scanner_depth_m.shape == (129, 172)
 
 
-def test_the_page_has_every_image_before_and_after(dataset, tmp_path):
+def test_the_page_shows_every_image_before_and_after_the_rescan(dataset, tmp_path):
     root, _, summary = dataset
     page = write_rescan_page(root / "out", tmp_path / "page")
     assert (page.images, page.of) == (3, 3)
@@ -358,7 +358,7 @@ def test_the_page_has_every_image_before_and_after(dataset, tmp_path):
     assert scanner[np.isfinite(depth_m)].mean() > 2 * scanner[np.isnan(depth_m)].mean()
 
 
-def test_a_source_is_sent_to_workers(dataset):
+def test_a_pickled_source_reads_the_same_images(dataset):
     _, split, _ = dataset
     source = open_source(split)
     copy = pickle.loads(pickle.dumps(source))
@@ -373,7 +373,7 @@ def test_a_source_is_sent_to_workers(dataset):
         ("reason_sl/000000.png", lambda image: 0 * image, "disagree"),
     ],
 )
-def test_validate_finds_what_was_changed(dataset, tmp_path, file, damage, words):
+def test_validate_detects_changed_files(dataset, tmp_path, file, damage, words):
     root, _, _ = dataset
     out = shutil.copytree(root / "out", tmp_path / "out", symlinks=True)
     assert validate(out) == () == validate(out, fast=True)
@@ -449,7 +449,7 @@ RESEALED = {
 
 
 @pytest.mark.parametrize("fault", RESEALED)
-def test_a_fault_with_recomputed_checksums_is_still_implausible(dataset, tmp_path, fault):
+def test_validate_detects_implausible_data_despite_recomputed_checksums(dataset, tmp_path, fault):
     out = shutil.copytree(dataset[0] / "out", tmp_path / "out", symlinks=True)
     do, words = RESEALED[fault]
     do(out / "train_pbr/000000")
@@ -478,7 +478,7 @@ def test_validate_names_a_changed_record(dataset, tmp_path, file, content, words
     assert any(words in what for what in problems), problems
 
 
-def test_a_rescan_without_images_is_no_dataset(dataset, tmp_path):
+def test_a_rescan_without_images_is_not_a_valid_dataset(dataset, tmp_path):
     out = shutil.copytree(dataset[0] / "out", tmp_path / "out", symlinks=True)
     for path in (out / "train_pbr").glob("*/scan_sl"):
         shutil.rmtree(path)

@@ -72,7 +72,7 @@ def write_sileane(folder, name="depth_gt"):
     return folder
 
 
-def test_a_scene_of_sileane_is_in_the_camera_s_frame(tmp_path):
+def test_poses_of_a_sileane_scene_are_in_the_camera_s_frame(tmp_path):
     """Oracle: the pose that the inverse of that motion moved to the absolute frame."""
     assert np.allclose(inverse(T_WORLD_CAM) @ T_WORLD_CAM @ POSE, POSE)
     source = pickle.loads(pickle.dumps(open_source(write_sileane(tmp_path / "bunny"))))
@@ -95,7 +95,7 @@ def test_ideal_depth_is_preferred_to_measured_depth(tmp_path):
     assert np.allclose(open_source(folder).read(0, 1).depth_m, middle_m)
 
 
-def test_files_that_contradict_the_description_of_sileane_are_refused(tmp_path):
+def test_files_that_contradict_the_sileane_format_are_refused(tmp_path):
     folder = write_sileane(tmp_path / "bunny")
     params, gt = folder / "camera_params.txt", folder / "gt/bunny_001.json"
     text = params.read_text()
@@ -154,7 +154,7 @@ def write_ipa(folder):
     return folder
 
 
-def test_a_scene_of_ipa_is_converted_to_opencv_s_frame(tmp_path):
+def test_an_ipa_scene_is_converted_to_the_frame_of_opencv(tmp_path):
     source = pickle.loads(pickle.dumps(open_source(write_ipa(tmp_path / "gear"))))
     assert source.images == ((7, 0), (7, 1))
     image = source.read(7, 1)
@@ -169,7 +169,7 @@ def test_a_scene_of_ipa_is_converted_to_opencv_s_frame(tmp_path):
     assert source.read(7, 0).obj_id.tolist() == []
 
 
-def test_points_of_ipa_agree_with_its_own_loop_over_pixels(tmp_path):
+def test_points_from_ipa_agree_with_the_loop_over_pixels_in_its_own_code(tmp_path):
     """Oracle: the published loop, written again: the square picture is rotated by half a turn, and
     a pixel's centre is half a pixel from its corner; x and y change sign into OpenCV's frame.
     """
@@ -184,7 +184,7 @@ def test_points_of_ipa_agree_with_its_own_loop_over_pixels(tmp_path):
     assert -y == pytest.approx((row - camera.cy_px) / camera.fy_px * z)
 
 
-def test_files_that_contradict_the_description_of_ipa_are_refused(tmp_path):
+def test_files_that_contradict_the_ipa_format_are_refused(tmp_path):
     folder = write_ipa(tmp_path / "gear")
     path, table = folder / "parameter.json", folder / "gt/cycle_0007/001.csv"
     content = json.loads(path.read_text())

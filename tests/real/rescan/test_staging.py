@@ -81,7 +81,7 @@ def depth_of(result, camera=CAMERA, T_cam_world=None, kinds=("cube", BACKGROUND)
     return z_m
 
 
-def test_every_pixel_keeps_its_depth():
+def test_every_pixel_of_a_staged_scene_keeps_its_depth():
     result = staged()
     assert [p.name for p in result.scene.parts] == ["cube", BACKGROUND]
     assert [p.labelled for p in result.scene.parts] == [True, False]
@@ -103,7 +103,7 @@ def test_the_floor_has_the_shading_normals_of_its_plane():
     assert np.sqrt((tilt_deg**2).mean()) < 0.5 * np.sqrt((facet_deg**2).mean())
 
 
-def test_a_stated_background_replaces_that_of_the_picture():
+def test_a_stated_background_replaces_the_background_of_the_picture():
     source = image(rgb=np.full((*plane_m().shape, 3), 90, np.uint8))
     assert staged(source).scene.parts[-1].material.texture is not None
     stated = Material(base_color=(0.2, 0.3, 0.4), roughness=0.7)
@@ -119,7 +119,7 @@ def test_the_floor_continues_behind_an_object():
     assert np.median(np.abs(behind_m - plane_m())[own]) < 5e-4
 
 
-def test_the_membrane_obeys_the_maximum_principle():
+def test_filled_depth_is_within_the_range_of_the_surrounding_depth():
     rng = np.random.default_rng(0)
     depth_m = 0.6 + 0.1 * rng.random((40, 50))
     depth_m[10:30, 5:45] = np.nan
@@ -130,7 +130,7 @@ def test_the_membrane_obeys_the_maximum_principle():
     np.testing.assert_array_equal(filled[~hole], depth_m[~hole])
 
 
-def test_shadows_are_those_of_the_whole_scene():
+def test_shadows_equal_those_of_the_whole_scene():
     """Oracle: a projector at the side sees the true cube, floor and step, and the staged ones.
 
     The far side of the step is hidden from the camera and assumed to be filled: it is on the side
@@ -177,7 +177,7 @@ def test_objects_that_contradict_the_depth_are_refused(part_side_m, moved_m, wor
         staged(image(T=T), {7: part(part_side_m)})
 
 
-def test_depth_without_models_is_one_solid():
+def test_depth_without_models_becomes_one_solid():
     result = staged(parts={})
     assert [p.name for p in result.scene.parts] == [BACKGROUND] and result.obj_id == ()
     off_m = np.abs(depth_of(result) - image().depth_m)

@@ -16,7 +16,7 @@ scenes: 4  # kept
 """
 
 
-def test_the_rig_is_replaced_and_its_sections_are_dropped():
+def test_a_fitted_configuration_has_the_new_rig_without_the_sections_of_the_old_rig():
     text = fitted_text(
         BASE, Path("cell.yaml"), {"rig": "twin.rig.yaml"}, {"rig": "fitted"}, dropped=("decode",)
     )

@@ -65,7 +65,7 @@ def twin(folder, path, out, *options):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_twin_and_repeats_it_exactly(scanned, monkeypatch, capsys):
+def test_the_command_writes_the_same_twin_in_every_run(scanned, monkeypatch, capsys):
     few = [p for p in PARAMETERS if p.key in (*OF_BIN, "sensor.read_noise_e")]
     monkeypatch.setattr(making, "PARAMETERS", few)
     monkeypatch.setattr(searching, "_STARTS", 0)

@@ -21,7 +21,7 @@ SCANNER = preset("like-phoxi-m", "small")
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)
-def test_a_value_is_read_back_from_the_scanner_and_its_file(parameter, tmp_path):
+def test_parameter_values_are_read_back_from_the_scanner_and_its_file(parameter, tmp_path):
     if parameter.key in OF_BIN:
         assert value_of(SCANNER, parameter) == (0.0 if parameter.key == BIN_ROUGHNESS else 1.0)
         return
@@ -33,7 +33,7 @@ def test_a_value_is_read_back_from_the_scanner_and_its_file(parameter, tmp_path)
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)
-def test_shares_span_the_bounds_and_can_be_inverted(parameter):
+def test_parameters_as_shares_of_their_bounds_can_be_converted_back(parameter):
     assert (parameter.value(0.0), parameter.value(1.0)) == (parameter.low, parameter.high)
     for share in (0.0, 0.3, 0.8, 1.0):
         assert parameter.share(parameter.value(share)) == pytest.approx(share, abs=1e-3)
@@ -60,7 +60,7 @@ def test_a_filter_and_a_fault_are_off_below_their_smallest_value():
     assert some.rig.projector.falloff == 0.45
 
 
-def test_a_deeper_well_has_the_same_brightness_when_it_is_full():
+def test_a_deeper_pixel_well_does_not_change_the_brightness_at_saturation():
     well = next(p for p in PARAMETERS if p.key == "sensor.full_well_e")
     deep = with_values(SCANNER, [well], {well.key: 8e4}).sensor
     assert deep.full_well_e == 8e4
@@ -68,7 +68,7 @@ def test_a_deeper_well_has_the_same_brightness_when_it_is_full():
     assert deep.full_well_e * deep.gain_dn_per_e == pytest.approx(full_dn, rel=1e-3)
 
 
-def test_finer_codes_are_tried_for_phases_and_none_for_a_plain_code():
+def test_finer_codes_are_tried_for_phase_codes_only():
     codes = candidate_codes(SCANNER.code)
     assert [code.period_px for code in codes] == [48.0, 24.0, 12.0]
     projector = SCANNER.rig.projector

@@ -8,7 +8,7 @@ from graycast.real.twin.searching import reach_of
 FREE = 2 * np.sqrt(1 / 12)  # two standard deviations of a uniform law over a range of one
 
 
-def test_a_row_that_depends_on_one_parameter_bounds_it_by_its_slope():
+def test_a_row_that_depends_on_one_parameter_bounds_the_parameter_by_its_slope():
     """Two standard deviations of a normal law times a uniform one: 2 / sqrt(s^2 + 12)."""
     assert reach_of(np.array([[10.0]])) == pytest.approx(2 / np.sqrt(100 + 12))
     assert reach_of(np.array([[10.0], [24.0]])) == pytest.approx(2 / np.sqrt(26**2 + 12))
@@ -18,13 +18,13 @@ def test_a_parameter_without_an_effect_is_unbounded():
     assert reach_of(np.zeros((3, 2))) == pytest.approx([FREE, FREE])
 
 
-def test_two_parameters_that_compensate_each_other_are_both_unbounded():
+def test_parameters_that_compensate_each_other_are_unbounded():
     """The rows depend on the sum only, so each extends as far as the other can follow."""
     reach = reach_of(np.array([[100.0, 100.0]]))
     assert reach == pytest.approx([FREE / np.sqrt(2)] * 2, rel=1e-3)
     assert reach_of(np.array([[100.0, 0.0]]))[0] < 0.02
 
 
-def test_a_row_that_separates_two_parameters_bounds_both():
+def test_a_row_that_separates_two_parameters_makes_them_bounded():
     both = reach_of(np.array([[100.0, 100.0], [100.0, -100.0]]))
     assert both.max() < 0.02

@@ -19,7 +19,7 @@ def test_a_projector_beside_the_camera_is_accepted(projector_m):
     refuse_without_shadow(maps(projector_m))
 
 
-def test_a_light_at_the_camera_is_refused_with_the_reason():
+def test_a_projector_at_the_position_of_the_camera_is_refused_with_the_reason():
     with pytest.raises(GraycastError, match="no shadow side"):
         refuse_without_shadow(maps((0.0, 0.0, 0.0)))
 

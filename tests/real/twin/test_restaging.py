@@ -117,14 +117,14 @@ def test_the_surface_covers_every_pixel_and_has_little_noise(staged):
     assert elsewhere.sum() < 0.003 * inner.sum()
 
 
-def test_edges_are_in_the_pixels_that_see_two_surfaces(staged):
+def test_edges_are_marked_in_pixels_that_see_two_surfaces(staged):
     """At four times as many pixels, the objects cover the same area up to a tenth of a pixel."""
     truth, part = (np.isfinite(one) for one in (of_thing(camera(4)), of_part(staged, camera(4))))
     assert part.sum() / truth.sum() == pytest.approx(1, abs=0.02)
     assert (part != truth).sum() < 0.06 * truth.sum()
 
 
-def test_a_lost_pixel_keeps_its_share_of_both_surfaces():
+def test_a_pixel_without_depth_keeps_its_shares_of_two_surfaces():
     """In a pixel between white and dark, white covers its share of the light in both."""
     known = np.array([[True, True, False, True, True, False, False, False, True]])
     light = np.array([[0.8, 0.8, 0.5, 0.05, 0.05, 0.5, 0.5, 0.5, 0.8]])
@@ -153,7 +153,7 @@ def test_flat_surfaces_have_few_triangles_and_no_cracks(staged):
 
 
 @pytest.mark.slow
-def test_shadows_are_those_of_the_true_objects(staged):
+def test_shadows_equal_those_of_the_true_objects(staged):
     """Oracle: the view of the projector's pinhole of the true objects, and of the solid.
 
     A sheet without sides would let light pass below the tower and the inclined box.
@@ -198,7 +198,7 @@ def test_shadows_are_those_of_the_true_objects(staged):
     assert (sheet & ~truly).sum() > 2 * (by_solid & ~truly).sum()
 
 
-def test_small_gaps_of_one_surface_are_closed_and_large_ones_are_not():
+def test_only_small_gaps_in_a_surface_are_closed():
     board = trimesh.creation.box((0.2, 0.2, 0.03))
     board.apply_translation((0, 0, 0.015))
     depth_m = noisy_scan(thing=board).depth_m.copy()
@@ -214,7 +214,7 @@ def test_small_gaps_of_one_surface_are_closed_and_large_ones_are_not():
     assert np.isnan(part_m[large][1:-1, 1:-1]).all()
 
 
-def test_the_bin_s_own_noise_is_not_an_object():
+def test_noise_on_the_bin_is_not_taken_for_an_object():
     scan = scan_of(noisy_scan().depth_m)
     solid = standing_before(scan.depth_m, of_bin(camera()))
     assert not (solid & ~np.isfinite(of_thing(camera()))).sum() > 0.002 * solid.sum()
@@ -224,7 +224,7 @@ def test_the_bin_s_own_noise_is_not_an_object():
     assert scene.parts == () and len(layout_of(scene).part_index) == 0
 
 
-def test_a_plane_and_a_sharp_edge_are_kept():
+def test_smoothing_keeps_a_plane_and_a_sharp_edge():
     """Two boards that meet at a ridge: a plain mean over the window would cut it by 0.6 mm."""
     x = np.mgrid[:60, :80][1].astype(float)
     inverse_m = 1.4 + 2e-3 * np.abs(x - 39.5)
@@ -241,7 +241,7 @@ def painted(height_px, width_px, color=(200, 100, 50)):
 
 
 @pytest.mark.slow
-def test_pictures_become_reflectances_with_white_as_the_brightest():
+def test_pictures_are_converted_to_reflectances_with_white_as_the_brightest():
     """All have one factor: the second picture is half as bright, in linear light."""
     first, second = (
         painted(2 * HEIGHT_PX, 2 * WIDTH_PX),
@@ -263,7 +263,7 @@ def test_pictures_become_reflectances_with_white_as_the_brightest():
     assert light(b[0, 0])[2] == pytest.approx(0.03, abs=0.002)  # print is not blacker
 
 
-def test_a_texture_is_on_the_surface_that_its_picture_shows(staged):
+def test_a_texture_is_placed_on_the_surface_in_its_picture(staged):
     """uv of the top's vertices are their positions in the picture."""
     part = staged.parts[0]
     mesh: Mesh = part.mesh

@@ -30,7 +30,7 @@ def test_a_scan_without_smooth_squares_has_no_texture(missing):
         assert np.isnan(row(z_m, name))
 
 
-def test_noise_common_to_rows_is_their_correlation():
+def test_noise_common_to_a_row_is_reported_as_correlation():
     """Rows are a sum of their own noise and of that of neighbours: the correlation of `a_y + k
     a_(y+1)` with the next row is `k / (1 + k^2)`, which columns do not have.
     """
@@ -43,7 +43,7 @@ def test_noise_common_to_rows_is_their_correlation():
     assert row(z_m, "noise common to columns") == pytest.approx(0, abs=0.03)
 
 
-def test_isolated_holes_are_counted_and_wide_ones_are_not():
+def test_only_isolated_holes_are_counted():
     z_m = plane().copy()
     z_m[40:200:20, 40:200:20] = np.nan  # These holes are isolated.
     z_m[220:224, 100:140] = np.nan  # a wide hole
@@ -57,7 +57,7 @@ def test_isolated_holes_are_counted_and_wide_ones_are_not():
 
 
 @pytest.mark.slow
-def test_holes_of_the_floor_are_those_in_its_plane():
+def test_only_holes_in_the_plane_of_the_floor_count_as_holes_of_the_floor():
     """The plane is at 0.6 m; a box on it, half of the picture, has other holes."""
     z_m = plane().copy()
     z_m[:, 160:] -= 0.02
@@ -69,7 +69,7 @@ def test_holes_of_the_floor_are_those_in_its_plane():
     assert figures["holes in the floor"][0] == pytest.approx(100 * 40 / on_floor, rel=0.01)
 
 
-def test_missing_depth_is_counted_for_its_side_of_the_bin():
+def test_missing_depth_is_counted_for_each_side_of_the_bin():
     z_m = plane().copy()
     side, visible = np.zeros(z_m.shape, dtype=bool), np.ones(z_m.shape, dtype=bool)
     side[:, :50], visible[:120] = True, False
@@ -80,7 +80,7 @@ def test_missing_depth_is_counted_for_its_side_of_the_bin():
     assert np.isnan(figures["missing on the bin's upper side"][0])
 
 
-def test_equal_scans_get_the_least_allowed_spread():
+def test_equal_scans_have_the_smallest_allowed_spread():
     """Otherwise, scans that are equal by chance would match no statistics."""
     real = Figures(value={name: np.full(3, 1.0) for name in ROWS})
     spread = {one.name: one.spread for one in compare(real, real)}

@@ -95,7 +95,7 @@ def test_two_unknown_parameters_are_found(stage):
         assert one.parameter.share(one.high) - one.parameter.share(one.low) < 0.2
 
 
-def test_the_model_of_falloff_agrees_with_the_renderer(stage, monkeypatch):
+def test_the_model_for_falloff_agrees_with_the_renderer(stage, monkeypatch):
     """Oracle: the renderer's own picture with the falloff, for direct light."""
     scanner, (lit, _) = stage
     rig = scanner.rig
@@ -119,7 +119,7 @@ def test_the_model_of_falloff_agrees_with_the_renderer(stage, monkeypatch):
 
 
 @pytest.mark.slow
-def test_scans_are_matched_by_their_own_scanner_and_by_no_other(stage):
+def test_only_the_simulated_scanner_that_made_the_scans_matches_them(stage):
     """The noise is another sample of the same strength; chance alone gives a misfit of 1."""
 
     def figures(seed, read_noise_e=20.0, smoothing_px=0.0):
@@ -135,7 +135,7 @@ def test_scans_are_matched_by_their_own_scanner_and_by_no_other(stage):
         assert loss_of(rows) > 5 and not all(row.is_met for row in rows)
 
 
-def test_a_brighter_bin_equals_a_longer_exposure(stage):
+def test_a_brighter_bin_has_the_same_effect_as_a_longer_exposure(stage):
     """Four times the light is four times the exposure, to the bit except next to the ball, which
     keeps its own light and therefore its depth."""
     scanner, (lit, _) = stage
@@ -175,7 +175,7 @@ def formula(stage, monkeypatch, off):
     return run, places
 
 
-def test_steps_converge_from_where_a_row_is_sixty_spreads_off(stage, monkeypatch):
+def test_the_search_converges_from_a_start_that_is_sixty_spreads_off(stage, monkeypatch):
     """A limit that is flat there would not show which direction is better."""
     monkeypatch.setattr(searching, "_STARTS", 0)
 
@@ -209,7 +209,7 @@ def test_a_code_with_a_good_fit_far_from_the_configured_scanner_is_found(stage, 
     assert result.by_code[coarse.period_px] > 1
 
 
-def test_slopes_agree_with_those_of_the_rows(stage):
+def test_estimated_slopes_agree_with_the_slopes_of_the_rows(stage):
     """The rows are small and linear; at the upper bound, the step goes downwards."""
 
     class Linear(searching._Trials):
@@ -224,7 +224,7 @@ def test_slopes_agree_with_those_of_the_rows(stage):
     )
 
 
-def test_a_repeated_trial_costs_nothing(stage, monkeypatch):
+def test_a_repeated_trial_is_not_simulated_again(stage, monkeypatch):
     """The best code's steps continue from where they ended before."""
     run, places = formula(
         stage, monkeypatch, lambda code, x: [3 + np.sin(9 * x[0]) * np.cos(7 * x[1]), x[0]]
@@ -236,7 +236,7 @@ def test_a_repeated_trial_costs_nothing(stage, monkeypatch):
 
 
 @pytest.mark.slow
-def test_steps_return_from_where_nothing_is_lit(stage, monkeypatch):
+def test_the_search_returns_from_parameters_without_any_light(stage, monkeypatch):
     """The first step goes too far, as errors count by their logarithm, and finds no rows."""
     monkeypatch.setattr(searching, "_STARTS", 0)
     run, places = formula(

@@ -42,7 +42,7 @@ def lit_bin(folder, renderer, **material):
 
 
 @pytest.mark.slow
-def test_another_bin_material_is_a_sum_of_two_renderings(tmp_path, mitsuba_renderer, monkeypatch):
+def test_light_from_a_bin_is_the_sum_of_two_renderings(tmp_path, mitsuba_renderer, monkeypatch):
     """Oracle: the renderer's own picture of a bin with a third of the colour or half of the coat.
 
     Half of the coat is not exact: 6 % of the light are missing, because a weaker coat also lets
@@ -82,7 +82,7 @@ def funnel():
     return 0.6 - np.clip(np.maximum(np.abs(x), np.abs(y)) - 60, 0, None) * 0.6 / 300
 
 
-def test_sides_are_named_by_position_and_unseen_ones_are_left_out():
+def test_visible_sides_of_the_bin_are_named_by_position():
     depth_m = funnel()
     truth = DepthScan(name="t", depth_m=depth_m, K=K)
     is_bin = np.ones(depth_m.shape, dtype=bool)
@@ -105,7 +105,7 @@ def test_sides_are_named_by_position_and_unseen_ones_are_left_out():
         assert not sides[name][:, :40].any()
 
 
-def test_a_floor_has_no_sides():
+def test_a_floor_without_walls_has_no_sides():
     truth = DepthScan(name="t", depth_m=plane(), K=K)
     lit = LitScene(radiance={}, is_bin=np.ones(truth.depth_m.shape, dtype=bool), truth=truth)
     places = missing_places([lit], [scan(plane())])

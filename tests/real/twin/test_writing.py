@@ -30,7 +30,7 @@ def written(folder, material, values):
     return _bin(fit, cell)
 
 
-def test_colour_and_coat_are_the_fitted_ones(tmp_path):
+def test_colour_and_coat_are_written_as_fitted(tmp_path):
     values = {BIN_COLOR: 2.0, BIN_GLOSS: 0.5, BIN_ROUGHNESS: -0.1}
     material = written(tmp_path, PLAIN, values)["bin"]["material"]
     assert material["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # the largest value
@@ -38,7 +38,7 @@ def test_colour_and_coat_are_the_fitted_ones(tmp_path):
     assert "projector_reflectance" not in material
 
 
-def test_the_reflectance_at_the_projector_s_wavelength_is_scaled_like_the_colour(tmp_path):
+def test_the_reflectance_in_projector_light_is_scaled_like_the_colour(tmp_path):
     settings = written(tmp_path, PLAIN | {"projector_reflectance": 0.2}, {BIN_COLOR: 1.5})
     assert settings["bin"]["material"]["projector_reflectance"] == pytest.approx(0.3)
     assert settings["bin"]["material"]["specular"] == 0.4

@@ -29,7 +29,7 @@ def scenes(cell):
 
 
 @pytest.mark.slow
-def test_saved_scenes_are_the_dataset_of_generate(cell, scenes, tmp_path):
+def test_scenes_saved_by_a_script_equal_the_dataset_of_generate(cell, scenes, tmp_path):
     for scene in scenes:
         scene.save(tmp_path / "saved")
     graycast.generate(cell, tmp_path / "generated", scenes=2, seed=5, device="cpu")
@@ -61,7 +61,7 @@ def test_a_loop_that_ends_early_closes_the_renderer(cell, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_seed_is_the_configuration_s_unless_one_is_given(cell, scenes):
+def test_the_seed_of_the_configuration_is_used_unless_a_seed_is_given(cell, scenes):
     first = next(graycast.scenes(cell, 1, device="cpu"))
     assert first.shots[0].sample.manifest["dataset_seed"] == cell.config.seed == 0
     assert not np.array_equal(first.layout.T_world_part, scenes[0].layout.T_world_part)
@@ -74,7 +74,7 @@ def test_a_scene_that_cannot_be_made_raises_its_own_error(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_sheet_needs_a_viewer_only_to_be_shown(scenes, monkeypatch):
+def test_a_sheet_is_saved_without_a_viewer(scenes, monkeypatch):
     monkeypatch.setattr(ImageShow, "_viewers", [])
     sheet = scenes[0].sheet()
     assert np.asarray(sheet).std() > 20  # not a uniform colour

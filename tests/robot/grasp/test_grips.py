@@ -46,7 +46,7 @@ def box(sides=SIDES_M):
 
 
 @pytest.mark.slow
-def test_suction_grips_of_a_box_are_a_cup_s_radius_inside_its_faces():
+def test_suction_grips_on_a_box_are_a_cup_radius_inside_its_faces():
     places = suction_places(
         box(), CUP, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=250, seed=1
     )
@@ -69,7 +69,7 @@ def test_suction_grips_of_a_box_are_a_cup_s_radius_inside_its_faces():
     assert len(grips) == pytest.approx(expected, abs=3 * math.sqrt(expected) + 0.1 * expected)
 
 
-def test_the_robustness_of_a_cup_follows_a_normal_law():
+def test_the_robustness_of_a_cup_follows_a_normal_distribution():
     """Next to an edge, a cup seals while the error of the tool is below the remaining distance."""
     left_m = 1.0e-3
     plate = mesh_of(trimesh.creation.box((0.1, 0.1, 0.002)))
@@ -140,7 +140,7 @@ JAWS = Jaws(opening_m=0.05, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 
 @pytest.mark.parametrize(
     ("opening_m", "sides_mm"), [(0.050, {20, 30, 40}), (0.035, {20, 30}), (0.033, {20})]
 )
-def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit(opening_m, sides_mm):
+def test_jaws_grip_a_box_on_parallel_faces_that_fit_between_the_pads(opening_m, sides_mm):
     """On both sides 2 mm of room are left."""
     jaws = replace(JAWS, opening_m=opening_m)
     places = jaw_places(
@@ -150,7 +150,7 @@ def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit(opening_m, sides_mm
 
 
 @pytest.mark.slow
-def test_the_palm_limits_the_height_of_a_part_between_the_fingers():
+def test_the_palm_limits_how_far_a_part_extends_between_the_fingers():
     """The palm is a finger's length minus the pad's radius, 36 mm, above the pads' centre."""
     tall = box((0.01, 0.02, 0.12))
     places = jaw_places(
@@ -208,7 +208,7 @@ def test_a_jaw_grip_s_score_includes_the_probability_that_both_pads_meet_the_par
 
 
 @pytest.mark.slow
-def test_no_finger_overlaps_the_part():
+def test_no_finger_of_a_jaw_grip_overlaps_the_part():
     """A U of 3 mm walls, 10 mm apart: a finger of 6 mm with 2 mm of room just fits in."""
     walls = [
         trimesh.creation.box((0.040, 0.020, 0.003)),
@@ -264,7 +264,7 @@ def search(depth_m, weight_n, doubt):
 
 
 @pytest.mark.slow
-def test_grips_in_depth_are_as_near_to_the_mask_s_centre_as_the_weight_requires():
+def test_a_heavier_part_is_gripped_closer_to_the_centre_of_its_mask():
     """The weight is not along the axis: its part across tilts the cup by its lever arm."""
     lean_rad, weight_n = 0.6, 1.0
     depth_m = plate_depth(lean_rad)
@@ -288,7 +288,7 @@ def test_grips_in_depth_are_as_near_to_the_mask_s_centre_as_the_weight_requires(
 
 
 @pytest.mark.slow
-def test_no_grip_is_on_unknown_ground():
+def test_no_grip_is_planned_where_depth_is_missing():
     """A grid of holes closer than the width of the cup leaves no position."""
     depth_m = plate_depth()
     mask = np.ones(depth_m.shape, bool)
@@ -334,7 +334,7 @@ def test_objects_beyond_an_open_pad_are_not_between_the_pads():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["suction", "jaws"])
-def test_candidates_include_grips_that_hold_and_ones_that_do_not(kind):
+def test_candidates_include_grips_that_hold_and_grips_that_do_not(kind):
     known = {"weight_n": 0.5, "center_m": np.zeros(3), "doubt": DOUBT, "count": 24}
     if kind == "suction":
         places = suction_places(box(), CUP, **known)
@@ -392,7 +392,7 @@ def test_a_step_next_to_the_pad_meets_the_finger_first(step_m, begins_m, ahead_m
 
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.05, 0.2])
-def test_a_finger_is_along_a_flat_face_that_is_inclined(lean_rad):
+def test_a_finger_is_aligned_with_an_inclined_flat_face(lean_rad):
     """Jaws whose pad meets only one plane meet nothing before it, at any tilt."""
     T = rigid(axis_rotation("z", lean_rad), np.zeros(3))
     contact = closing(box((0.02, 0.08, 0.03)), JAWS, T, opening_m=0.048)
@@ -400,7 +400,7 @@ def test_a_finger_is_along_a_flat_face_that_is_inclined(lean_rad):
     assert contact.slope == pytest.approx(math.tan(lean_rad))
 
 
-def test_a_flat_finger_meets_a_hollow_with_its_edges():
+def test_a_flat_finger_touches_a_hollow_face_with_its_edges():
     """Oracle: heights of a circle; of the pad's lines the outermost lie at 0.95 of its radius."""
     radius_m, sides = 0.010, 720
     turn = 2 * np.pi * np.arange(sides) / sides

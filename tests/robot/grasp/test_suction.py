@@ -56,7 +56,7 @@ def test_a_hole_opens_a_seal_if_it_extends_below_the_cup(angle):
             assert lies.open_share == pytest.approx(0.3**2, rel=0.03)  # of the area
 
 
-def test_a_blind_hole_under_the_cup_does_no_harm():
+def test_a_blind_hole_under_the_cup_does_not_open_the_seal():
     blind = trimesh.util.concatenate(
         [plate((0, 0)), trimesh.creation.box((0.01, 0.01, 1e-4), at(z=-0.0021))]
     )
@@ -64,7 +64,7 @@ def test_a_blind_hole_under_the_cup_does_no_harm():
 
 
 @pytest.mark.parametrize(("away_m", "holds"), [(0.0102, True), (0.0098, False), (0.0, False)])
-def test_an_edge_opens_a_seal_if_it_is_nearer_than_the_lip(away_m, holds):
+def test_an_edge_inside_the_lip_opens_the_seal(away_m, holds):
     lies = seal(CUP, under(plate(), at(x=0.05 - away_m)))
     assert lies.holds == holds
     if away_m == 0:
@@ -80,7 +80,7 @@ def test_an_edge_opens_a_seal_if_it_is_nearer_than_the_lip(away_m, holds):
         ((22, 0), 0),
     ],
 )
-def test_an_unknown_node_below_a_cup_opens_its_seal(gap, open_share):
+def test_an_unmeasured_point_below_a_cup_opens_its_seal(gap, open_share):
     height_m = np.zeros((51, 51))
     height_m[25 + gap[1], 25 + gap[0]] = np.nan
     lies = seal(CUP, Patch(height_m=height_m, step_m=0.5e-3))
@@ -120,7 +120,7 @@ def cylinder_strain(radius_m):
 
 
 @pytest.mark.parametrize("shape", ["sphere", "cylinder"])
-def test_a_seal_opens_at_the_radius_of_the_closed_form(shape):
+def test_a_seal_opens_at_the_curvature_radius_of_the_closed_form(shape):
     law = sphere_strain if shape == "sphere" else cylinder_strain
     limit_m = brentq(lambda radius_m: law(radius_m) - 0.10, 0.0101, 0.2)
     for radius_m in (0.97 * limit_m, 1.03 * limit_m, 0.04):
@@ -134,7 +134,7 @@ def test_a_seal_opens_at_the_radius_of_the_closed_form(shape):
         assert lies.holds == (radius_m > limit_m)
 
 
-def test_measured_depth_gives_the_seal_of_the_surface():
+def test_measured_depth_and_the_true_surface_give_the_same_seal():
     """A sphere of 40 mm in a camera, with depth in closed form; the tool is tilted."""
     center_m, radius_m = np.array([0.0, 0.0, 0.5]), 0.04
     y, x = np.mgrid[:160, :200].astype(float)
@@ -190,7 +190,7 @@ def test_the_limit_of_a_load_agrees_with_a_hand_calculation(force_n, point_m, li
     assert factor == pytest.approx(limit)
 
 
-def test_a_tilted_cup_holds_what_the_three_limits_allow():
+def test_the_load_of_a_tilted_cup_agrees_with_forces_at_points_of_a_ring():
     """Oracle: the largest factor by bisection on forces at a ring of 720 points.
 
     The ring's pressure is N / (2 pi r) + M cos / (pi r^2); sliding takes the limit of the whole.

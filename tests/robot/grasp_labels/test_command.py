@@ -46,7 +46,7 @@ def labels(folder, name="suction"):
 
 
 @pytest.mark.slow
-def test_labels_are_written_next_to_the_scenes_and_are_valid(folder, capsys):
+def test_valid_grasp_labels_are_written_next_to_the_scenes(folder, capsys):
     before = content(folder / "ds")
     assert label(folder) == 0
     output = capsys.readouterr().out
@@ -61,7 +61,7 @@ def test_labels_are_written_next_to_the_scenes_and_are_valid(folder, capsys):
 
 
 @pytest.mark.slow
-def test_the_same_command_continues_and_workers_do_not_change_the_labels(folder):
+def test_labels_do_not_depend_on_interruptions_or_the_number_of_workers(folder):
     assert label(folder) == 0
     whole = labels(folder)
     (folder / "ds/grasps/suction/train/000001.json").unlink()
@@ -85,7 +85,7 @@ def test_the_same_command_continues_and_workers_do_not_change_the_labels(folder)
         (lambda f: (f / "box.stl").unlink(), "box.stl"),
     ],
 )
-def test_another_tool_and_missing_files_are_refused(folder, change, message, capsys):
+def test_a_changed_tool_and_missing_files_are_refused(folder, change, message, capsys):
     assert label(folder, "--simulate", "0") == 0
     change(folder)
     assert label(folder, "--simulate", "0") == 1
@@ -108,7 +108,7 @@ def test_a_changed_part_is_refused(folder, capsys):
 
 
 @pytest.mark.slow
-def test_jaws_that_fit_no_part_leave_no_file(folder, capsys):
+def test_jaws_that_fit_no_part_write_no_label_file(folder, capsys):
     jaws = {"kind": "jaws", "jaws": {"opening_m": 0.02}}
     write_tool(folder, jaws)
     assert label(folder) == 1

@@ -120,7 +120,7 @@ def tilt_limit_m(load_n):
 
 
 @pytest.mark.slow
-def test_a_plate_is_lifted_at_its_centre_and_lost_beyond_the_tilt_limit(suction):
+def test_a_plate_is_held_at_its_centre_and_lost_beyond_the_tilt_limit(suction):
     """At rest, the force is its weight; at the start, 1.5 times as much."""
     weight_n = MASS_KG * GRAVITY_M_S2
     heap = heap_of(lying())
@@ -144,7 +144,7 @@ def test_a_cup_over_the_edge_or_over_a_neighbour_s_edge_does_not_seal(suction):
 
 
 @pytest.mark.parametrize(("stroke_m", "ending"), [(0.015, "other part"), (0.005, None)])
-def test_a_label_below_another_part_is_no_success(robots, stroke_m, ending):
+def test_a_grip_on_a_covered_part_is_labelled_as_a_failure(robots, stroke_m, ending):
     """A plate of 10 mm is on a plate: it is met if the cup's stroke allows it, else a collision."""
     world = world_of(SUCTION.model_copy(update={"stroke_m": stroke_m}))
     two = heap_of(lying(), lying(z=1.5 * SIDES_M[2] + 2 * SKIN_M))
@@ -180,7 +180,7 @@ def test_the_object_that_the_tool_collides_with_is_named(suction, T, reach):
 
 
 @pytest.mark.slow
-def test_jaws_hold_a_plate_that_stands_on_its_edge(robots):
+def test_jaws_hold_an_upright_plate(robots):
     world = world_of(JAWS)
     lean = axis_rotation("x", np.pi / 2)  # The part is on its long edge.
     heap = heap_of(rigid(lean, np.array([0.0, 0.0, SIDES_M[1] / 2 + SKIN_M])))
@@ -214,7 +214,7 @@ def test_the_lift_has_its_stated_height_and_acceleration():
         (9, 0, 4, 4),
     ],
 )
-def test_half_of_the_selected_grips_have_score_0_if_there_are_enough(good, bad, count, goods):
+def test_half_of_the_selected_grips_have_score_0_if_enough_of_them_exist(good, bad, count, goods):
     scores = [0.5] * good + [0.0] * bad
     indices = _half_and_half(scores, count, np.random.default_rng(0))
     assert len(set(indices)) == len(indices) == min(count, good + bad)

@@ -36,7 +36,7 @@ NOTHING = (0, 0)
         ((3, 3), []),  # too few to decide: the interval begins at 44 %
     ],
 )
-def test_a_score_of_0_is_contradicted_by_grips_that_hold(counts, notes):
+def test_grips_that_hold_despite_a_score_of_0_cause_a_note(counts, notes):
     text = describe_ranking(ranking_of(counts, *[NOTHING] * 4, (20, 19)))
     remarks = [line for line in text.splitlines() if line.startswith("note: ")]
     assert len(remarks) == len(notes)
@@ -44,7 +44,7 @@ def test_a_score_of_0_is_contradicted_by_grips_that_hold(counts, notes):
         assert note in line and "contradict" in line and "use them, and not the score" in line
 
 
-def test_a_high_score_is_contradicted_by_grips_that_are_lost():
+def test_lost_grips_with_a_high_score_cause_a_note():
     text = describe_ranking(ranking_of((30, 0), *[NOTHING] * 4, (40, 2)))
     assert "note: 2 of 40 grips with score above 0.999 to 1 were held" in text
     assert text.count("note: ") == 1

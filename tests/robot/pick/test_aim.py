@@ -48,7 +48,7 @@ def test_the_covered_share_of_an_outline_follows_geometry():
     assert share == pytest.approx((2 * 20 + 4) / (2 * (2 * 20 + 2 * 4)), abs=0.03)
 
 
-def test_without_a_detector_all_surfaces_in_the_bin_may_be_parts():
+def test_all_surfaces_in_the_bin_are_candidates_without_a_detector():
     """Excluded are the floor, objects outside the walls, and pixels without depth."""
     view, (inside, _) = scene((square(30, 20), 0.97), (square(0, 20), 0.90))
     view.depth_m[25, 35] = np.nan
@@ -100,7 +100,7 @@ def aim(x, z=0.0, *, score=1.0, turn=("x", 0.0)):
     return Aim(T_world_tool=T, score=score, target=target)
 
 
-def test_of_grips_with_similar_scores_the_highest_comes_first():
+def test_the_highest_of_several_grips_with_similar_scores_comes_first():
     low, high, doubtful = aim(0, 0.1, score=0.92), aim(0, 0.2, score=0.88), aim(0, 0.9, score=0.5)
     assert trial_order([doubtful, low, high]) == [high, low, doubtful]
 
@@ -117,7 +117,7 @@ def test_of_grips_with_similar_scores_the_highest_comes_first():
         (aim(0.0, turn=("z", 3.1)), False, True),  # jaws have no front
     ],
 )
-def test_grips_that_hardly_differ_are_tried_once(other, round_tool, alike):
+def test_nearly_equal_grips_are_tried_only_once(other, round_tool, alike):
     first = aim(0.0)
     aims = list(spread([first, other], 0.008, round_tool=round_tool))
     assert len(aims) == (1 if alike else 2) and aims[0] is first

@@ -42,7 +42,7 @@ def test_a_failed_place_is_remembered_until_a_part_near_it_is_removed():
     assert again.gripped(HERE, taken=False).tabu == (FAR, HERE)
 
 
-def test_a_place_without_a_path_is_remembered_too_and_a_failure_elsewhere_keeps_it():
+def test_a_place_without_a_path_is_remembered_despite_failures_elsewhere():
     blocked = EMPTY.without_way((NEAR,)).without_way((FAR,))
     assert blocked.blocked == (NEAR, FAR) and blocked.tabu == ()
     assert blocked.gripped(HERE, taken=True).blocked == (FAR,)
@@ -68,7 +68,7 @@ JOINTS = Trajectory(time_s=np.arange(2.0), q=np.arange(12.0).reshape(2, 6))
         (0.0, 5.5, Outcome.WRONG_POSE),
     ],
 )
-def test_a_grip_that_meets_nothing_is_blamed_on_a_wrong_pose(
+def test_a_grip_that_misses_all_parts_is_attributed_to_a_wrong_pose(
     monkeypatch, turn_deg, shift_mm, outcome
 ):
     """The pose is rotated about the part's centre and shifted; 10 degrees and 5 mm are too much."""

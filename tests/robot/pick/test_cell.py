@@ -39,7 +39,7 @@ def test_the_small_cell_itself_is_accepted(robots, tmp_path):
     )
 
 
-def test_a_robot_picks_with_a_scanner_of_the_shelf(tmp_path):
+def test_a_robot_picks_with_a_preset_scanner(tmp_path):
     path = write_cell(tmp_path, rig="like-zivid-2-m70", view={"distance_m": 0.8})
     cell = resolve_pick_cell(load_pick_config(path), tmp_path)
     assert cell.cell.scanner.rig.name == "like-zivid-2-m70"
@@ -89,7 +89,7 @@ def test_wrong_values_in_the_file_are_refused_by_name(tmp_path, changes, words):
         ({"picking": {"place_m": [0.0, -0.4, 0.02]}}, "the arm with a part of up to"),
     ],
 )
-def test_what_robot_and_tool_cannot_do_is_refused_by_name(robots, tmp_path, changes, words):
+def test_settings_beyond_the_robot_or_tool_are_refused_by_name(robots, tmp_path, changes, words):
     (tmp_path / "broken.urdf").write_text("<robot", encoding="utf-8")
     (tmp_path / "headless.urdf").write_text(URDF.format(last="hand", more=""), encoding="utf-8")
     text = URDF.format(last="flange", more=MESH)
@@ -117,7 +117,7 @@ class OneClass:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", [1, slow(2)])
-def test_a_detector_of_one_class_is_enough_if_grips_need_no_model(
+def test_a_detector_with_one_class_is_accepted_if_grips_need_no_model(
     robots, tmp_path, monkeypatch, parts
 ):
     """With one part, its class is this part; with two parts it is unknown, which needs `depth`."""

@@ -152,7 +152,7 @@ def test_the_number_of_planned_paths_is_limited(reaching):
     assert isinstance(result, Blocked) and places(sought) == [0.0, 0.08]
 
 
-def test_no_grip_is_tried_where_one_failed(reaching):
+def test_no_grip_is_tried_near_a_failed_grip(reaching):
     result, sought = reaching(tabu=(FIRST, BESIDE, ELSEWHERE))
     assert result.outcome is Outcome.GIVEN_UP and not sought and not result.places_m
     assert places(reaching(tabu=(FIRST,))[1]) == [0.02, 0.08]

@@ -80,7 +80,7 @@ def test_a_rim_extends_beyond_the_part_by_the_tool_s_clearance(heap):
     assert y.max() == pytest.approx(0.05 + CELL_M, abs=CELL_M / 2 + 1e-9)
 
 
-def test_an_unseen_area_is_as_high_as_the_nearest_seen_one(depth):
+def test_an_unmeasured_area_has_the_height_of_the_nearest_measured_area(depth):
     inside = np.zeros(depth.shape, bool)
     rows, columns = np.nonzero(depth < np.nanmin(depth) + 0.005)  # the block's top
     inside[rows.min() : rows.max(), (columns.min() + columns.max()) // 2 : columns.max() + 20] = 1
@@ -93,7 +93,7 @@ def test_an_unseen_area_is_as_high_as_the_nearest_seen_one(depth):
 
 
 @pytest.mark.slow
-def test_a_shadow_next_to_a_part_is_as_high_as_the_part():
+def test_a_shadow_next_to_a_part_has_the_height_of_the_part():
     """From far aside, the camera sees nothing for 22 mm behind the block."""
     aside = look_at(np.array([0.35, 0.03, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
     heap = heap_of(depth_of(block, aside), aside)
@@ -147,7 +147,7 @@ def test_a_part_next_to_a_wall_does_not_become_as_high_as_the_wall():
     ("x", "y", "hit"),
     [(0.045, 0.03, True), (-0.045, 0.03, False), (0.045, -0.03, False), (-0.045, -0.03, False)],
 )
-def test_the_planner_has_the_heap_at_its_position(robots, heap, x, y, hit):
+def test_the_planner_receives_the_heap_at_the_right_position(robots, heap, x, y, hit):
     """A ball 30 mm above the floor overlaps the block, and nothing elsewhere."""
     import coal
 

@@ -61,7 +61,7 @@ class Wrist(Robot):
 
 
 @pytest.mark.parametrize("below_m", [0.01, 0.1])
-def test_the_end_of_a_long_part_is_accelerated_no_more_than_the_tip(below_m):
+def test_the_acceleration_limit_applies_to_the_end_of_a_long_part(below_m):
     """At 20 rad/s it moves in a circle: the acceleration is 400 / s^2 times its radius."""
     here = Surroundings(
         T_base_world=np.eye(4), T_flange_tip=T_flange_tip(SuctionTool()), standing=(),

@@ -72,7 +72,7 @@ def test_the_path_leads_around_a_wall(ur):
     assert (corners == again).all()
 
 
-def test_if_there_is_no_path_none_is_returned(ur):
+def test_the_planner_returns_none_if_no_path_exists(ur):
     goal = ur.home.copy()
     goal[0] = 1.0
     T = ur.flange(goal)

@@ -60,7 +60,7 @@ def picks(robots, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_every_part_is_accounted_for_and_every_attempt_is_recorded(picks):
+def test_every_part_is_counted_and_every_attempt_is_recorded(picks):
     _, out = picks
     for episode in read_episodes(out):
         assert episode.filled == 3 == episode.taken + episode.left + episode.spilled
@@ -82,14 +82,14 @@ def test_every_part_is_accounted_for_and_every_attempt_is_recorded(picks):
 
 
 @pytest.mark.slow
-def test_boxes_in_front_of_a_plain_scanner_are_picked(picks):
+def test_a_robot_with_a_plain_scanner_picks_boxes(picks):
     """Three boxes with free tops: most grips hold, and removed parts are not detected again."""
     summary = summarize(read_episodes(picks[1]))
     assert summary.rate[0] >= 0.7 and summary.taken >= 5
 
 
 @pytest.mark.slow
-def test_the_same_command_finds_all_bins_and_another_cell_is_refused(picks, tmp_path, capsys):
+def test_a_finished_run_is_not_repeated_and_a_changed_cell_is_refused(picks, tmp_path, capsys):
     path, out = picks
     before = content(out)
     assert run(path, out, "--bins", 2) == 0

@@ -44,7 +44,7 @@ def test_the_ur5e_agrees_with_its_maker_s_table(tmp_path):
         np.testing.assert_allclose(ur.flange(q), T, atol=1e-12)
 
 
-def test_a_stretched_diana_is_upright_and_looks_down(tmp_path):
+def test_a_stretched_diana_is_upright_with_its_flange_facing_down(tmp_path):
     T = open_robot("diana7", folder=tmp_path).flange(np.zeros(7))
     # The heights of the joints add up; the last joint is beside the arm, looking down.
     assert T[2, 3] == pytest.approx(0.2856 + 0.4586 + 0.47702 - 0.0216 - 0.1169)
@@ -145,7 +145,7 @@ def test_a_robot_without_a_joint_that_moves_is_refused(tmp_path):
         open_robot("fixed.urdf", folder=tmp_path)
 
 
-def test_a_urdf_file_gives_the_robot_that_it_describes(tmp_path):
+def test_a_robot_is_read_from_a_urdf_file(tmp_path):
     (tmp_path / "arm.urdf").write_text(UR5E)
     mine = open_robot("arm.urdf", folder=tmp_path, home=ARMS["ur5e"])
     own = open_robot("ur5e", folder=tmp_path)
@@ -193,7 +193,7 @@ def test_a_wrong_robot_is_refused_in_one_line(tmp_path, content, message):
     assert "\n" not in str(error.value)
 
 
-def test_an_impossible_home_is_refused(tmp_path):
+def test_an_impossible_home_pose_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="home has 2 angles, and the robot has 6 joints"):
         open_robot("ur5e", folder=tmp_path, home=[0, 0])
     with pytest.raises(ConfigError, match=r"home of joint 4 is -0.500 rad; its limits are 0.000"):

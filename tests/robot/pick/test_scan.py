@@ -61,7 +61,7 @@ def test_the_scanner_does_not_see_surfaces_without_the_pattern(tmp_path):
     assert scans.all == [8, 8]
 
 
-def test_perfect_depth_is_the_truth_and_needs_no_high_quality_rendering(tmp_path):
+def test_perfect_depth_equals_the_truth_and_is_rendered_at_low_quality(tmp_path):
     scans = scanned(tmp_path, depth="perfect")
     np.testing.assert_array_equal(scans.depth_m[0], scans.truth)
     assert scans.all == [1, 1]
@@ -92,7 +92,7 @@ class OneBox:
         )
 
 
-def test_a_detection_has_the_true_pose_of_the_part_that_it_mostly_shows(tmp_path):
+def test_a_detection_has_the_true_pose_of_the_part_with_most_of_its_pixels(tmp_path):
     """Seven columns show the first part, nine the second, four no part."""
     path = write_cell(tmp_path, picking={"pose": "truth"})
     cell = resolve_pick_cell(load_pick_config(path), tmp_path)

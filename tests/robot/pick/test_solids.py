@@ -41,7 +41,7 @@ def test_a_mesh_is_returned_unchanged():
     assert solid(mesh).volume == pytest.approx(cube.volume)
 
 
-def test_a_shape_that_no_urdf_has_is_named():
+def test_a_shape_that_urdf_does_not_define_is_named():
     with pytest.raises(ConfigError, match="Plane cannot be drawn"):
         shape_mesh(coal.Plane(0.0, 0.0, 1.0, 0.0))
 

@@ -54,7 +54,7 @@ def test_missed_parts_are_counted():
     assert summarize([one]).missing == {"no pose: none fits": 1, "no detection": 1}
 
 
-def test_pairs_are_attempts_of_the_same_bin_in_order():
+def test_attempts_in_the_same_bin_are_paired_in_order():
     first = [episode(0, "picked", "lost seal", "picked"), episode(2, "picked")]
     second = [
         episode(0, "nothing found", "lost seal", "picked", "picked", "picked"),
@@ -67,7 +67,7 @@ def test_pairs_are_attempts_of_the_same_bin_in_order():
     assert paired.p == mcnemar(1, 1) == 1.0
 
 
-def test_an_empty_summary_says_so():
+def test_a_summary_without_attempts_says_that_there_are_none():
     with pytest.raises(GraycastError, match="no bin is finished"):
         summarize([])
     with pytest.raises(GraycastError, match="have no common bin"):

@@ -23,7 +23,7 @@ def files_that_name(tool):
 
 
 @pytest.mark.slow
-def test_a_tool_is_named_only_where_it_is_defined_and_selected():
+def test_only_the_modules_that_define_and_select_a_tool_name_the_tool():
     """Settings also name the default tool of a cell."""
     for tool in TOOLS:
         settings = {PickConfig.__module__} if tool is DEFAULT else set()

@@ -56,11 +56,11 @@ def test_a_cup_comes_to_rest_on_the_plate_within_its_stroke(plate, off_m):
     ("z", "outcome"),
     [(0.02, Outcome.MISSED), (0.0, Outcome.COLLISION_UNSEEN)],
 )
-def test_beyond_its_stroke_a_cup_misses_or_pushes(plate, z, outcome):
+def test_a_cup_misses_or_pushes_a_plate_beyond_its_stroke(plate, z, outcome):
     assert down_on(plate, at(0, 0, z), [at(0, 0, 0)]).outcome is outcome
 
 
-def test_a_cup_over_the_edge_does_not_seal(plate):
+def test_a_cup_over_the_edge_of_a_plate_does_not_seal(plate):
     inside = down_on(plate, at(0.04 - 0.0105, 0, 0.01), [at(0, 0, 0)])
     over = down_on(plate, at(0.04 - 0.0085, 0, 0.01), [at(0, 0, 0)])
     assert isinstance(inside, PartGrip)
@@ -74,7 +74,7 @@ def test_a_cup_does_not_seal_on_two_adjacent_plates(plate):
     assert down_on(plate, at(0.02, 0, 0.01), poses).part == 1
 
 
-def test_a_cup_meets_the_upper_of_two_parts(plate):
+def test_a_cup_touches_the_upper_of_two_parts(plate):
     poses = [at(0, 0, 0), at(0, 0, 0.0205)]
     assert down_on(plate, at(0, 0, 0.0305), poses).part == 1
 
@@ -155,7 +155,7 @@ def extruded(outline_m):
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.25])
-def test_the_slope_below_the_pads_is_that_of_a_wedge(slope):
+def test_the_slope_below_the_pads_equals_that_of_the_wedge(slope):
     """One side of the wedge is vertical, and the other has the slope."""
     low, high = 0.02, 0.02 + slope * 0.04
     outline = np.array([[0, -0.02], [low, -0.02], [high, 0.02], [0, 0.02]])
@@ -178,6 +178,6 @@ def test_surfaces_behind_the_touched_face_do_not_change_the_slope():
     assert slope == pytest.approx(1, rel=1e-6)
 
 
-def test_a_pad_that_meets_nothing_has_no_grip():
+def test_a_pad_that_touches_no_part_has_no_grip():
     part = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
     assert closing(part.mesh, Jaws(opening_m=0.06), at(0, 0.04, 0)) is None

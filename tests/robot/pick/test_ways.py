@@ -119,7 +119,7 @@ def test_a_part_is_carried_with_no_more_force_than_its_grip_was_tested_for(arm, 
             assert np.linalg.norm(second, axis=1).max() < 1.1 * CARRIED_M_S2
 
 
-def test_straight_paths_do_not_exceed_their_speed(arm, here):
+def test_straight_paths_do_not_exceed_the_stated_speed(arm, here):
     way = ways_of(arm, here)
     assert way.down.seconds >= 0.06 / 0.25
     assert way.off.seconds >= 0.01 / 0.05
@@ -140,7 +140,7 @@ def test_a_distant_pose_is_unreachable(arm, here, grip, outcome, words):
     assert blocked.outcome is outcome and words in blocked.detail
 
 
-def test_an_object_next_to_the_grip_is_a_predicted_collision(arm, here):
+def test_a_collision_with_an_object_next_to_the_grip_is_predicted(arm, here):
     """A post is below the tube, but the start of the straight path is free."""
     place = GRIP[:3, 3] + 0.05 * GRIP[:3, 2]
     post = Obstacle(name="the heap", shape=coal.Sphere(0.02), T_base_shape=rigid(np.eye(3), place))

@@ -66,11 +66,11 @@ def worth(z, inside, *, tight, T=HERE, half_m=HALF_M):
         (FRONT_M, [PART, BESIDE], 2 / 3),  # 600 pixels of the outline without a part
     ],
 )
-def test_a_score_in_an_outline_is_the_share_that_agrees(right, outline, expected):
+def test_a_score_in_an_outline_is_the_share_of_agreeing_pixels(right, outline, expected):
     assert worth(depth(RIGHT, right), covered(*outline), tight=True) == expected
 
 
-def test_pixels_of_an_outline_outside_the_part_count_with_and_without_depth():
+def test_outline_pixels_outside_the_part_lower_the_score_even_without_depth():
     z = depth(BESIDE, np.nan)
     assert worth(z, covered(PART, BESIDE), tight=True) == 2 / 3
 

@@ -79,7 +79,7 @@ def off(estimate, true, symmetry):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", [(0,), pytest.param(range(1, 12), marks=pytest.mark.slow)])
-def test_the_bracket_is_found_from_any_side(bracket, model, seeds):
+def test_the_pose_of_a_bracket_is_found_from_any_side(bracket, model, seeds):
     for seed in seeds:
         depth, mask = scan(bracket.mesh, pose(seed), seed=seed)
         estimate = find_pose(model, depth, CAMERA, mask)
@@ -128,7 +128,7 @@ def test_a_wrong_part_has_a_lower_score(bracket, model):
 
 
 @pytest.mark.slow
-def test_a_part_is_found_in_a_box_without_a_mask(bracket, model):
+def test_the_pose_of_a_part_is_found_in_a_box_without_a_mask(bracket, model):
     for seed in (0, 3):
         T = pose(seed)
         depth, mask = scan(bracket.mesh, T, seed=seed)
@@ -138,7 +138,7 @@ def test_a_part_is_found_in_a_box_without_a_mask(bracket, model):
 
 
 @pytest.mark.parametrize("seeds", [(0,), pytest.param(range(1, 4), marks=pytest.mark.slow)])
-def test_a_part_is_found_among_equal_parts(bracket, model, seeds):
+def test_the_pose_of_a_part_is_found_among_equal_parts(bracket, model, seeds):
     """The part is found from its mask, and from a box that also contains other parts."""
     for seed in seeds:
         depth, owner, places, share = heap(bracket.mesh, seed)
@@ -168,7 +168,7 @@ def test_a_rotationally_symmetric_part_is_found_with_the_nearest_rotation(bracke
     assert angle < 2 and shift < 1
 
 
-def test_too_little_depth_finds_nothing(bracket, model):
+def test_no_pose_is_found_from_too_little_depth(bracket, model):
     depth, mask = scan(bracket.mesh, pose(0))
     assert find_pose(model, np.full_like(depth, np.nan), CAMERA, mask).T_cam_part is None
     assert find_pose(model, depth, CAMERA, np.zeros_like(mask)).T_cam_part is None
@@ -194,14 +194,14 @@ def _of(one):
     return depth, CAMERA, mask
 
 
-def test_the_picture_of_another_camera_is_refused(bracket, model):
+def test_a_picture_from_another_camera_is_refused(bracket, model):
     depth, mask = scan(bracket.mesh, pose(0))
     with pytest.raises(ValueError, match="give depth, mask and camera of one picture"):
         find_pose(model, depth[:-1], CAMERA, mask[:-1])
 
 
 @pytest.mark.slow
-def test_threads_change_nothing(bracket, model):
+def test_the_number_of_threads_does_not_change_the_pose(bracket, model):
     depth, mask = scan(bracket.mesh, pose(4))
     one, two = find_poses(model, depth, CAMERA, [mask, mask], threads=2)
     np.testing.assert_array_equal(one.T_cam_part, two.T_cam_part)
@@ -216,7 +216,7 @@ def plate(x=0.08, y=0.05, z=0.0005):
 
 
 @pytest.mark.slow
-def test_a_flat_plate_is_found_without_an_explosion_of_pairs():
+def test_the_pose_of_a_flat_plate_is_found_with_a_limited_number_of_pairs():
     """All its pairs differ only in length; its outline shows its position."""
     mesh = plate()
     turns = [np.diag([-1.0, -1, 1, 1]), np.diag([1.0, -1, -1, 1]), np.diag([-1.0, 1, -1, 1])]
@@ -230,7 +230,7 @@ def test_a_flat_plate_is_found_without_an_explosion_of_pairs():
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.12, 0.05, 0.002, -0.001, 0.0)])
-def test_the_quick_rasteriser_agrees_with_the_checking_one(bracket, model, distortion):
+def test_the_fast_rasteriser_agrees_with_the_exact_rasteriser(bracket, model, distortion):
     """Two programs draw a closed mesh, whose faces turned away are invisible."""
     camera = Optics(width_px=200, height_px=160, fx_px=560.0, fy_px=560.0, cx_px=99.5,
                     cy_px=79.5, distortion=distortion)  # fmt: skip
@@ -249,7 +249,7 @@ def test_the_quick_rasteriser_agrees_with_the_checking_one(bracket, model, disto
         assert (np.abs(z[both] - expected[both]) > 1e-12).sum() <= 2
 
 
-def test_normals_of_a_plane_are_its_own_and_noise_is_measured():
+def test_normals_and_noise_of_a_plane_are_measured_correctly():
     """A slanted plane, ray by ray; then with noise of a known sigma."""
     normal = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
     y, x = np.mgrid[:160, :200].astype(float)

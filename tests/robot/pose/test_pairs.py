@@ -43,7 +43,7 @@ def voted(scene, model, references, *, step_m=STEP_M, peaks=1):
     return votes(OrientedPoints(*scene), np.array(references), points, table, peaks)
 
 
-def test_every_pair_is_in_the_table_with_a_feature_that_no_motion_changes():
+def test_every_point_pair_is_in_the_table_with_a_feature_invariant_to_motion():
     point, normal = scattered(60)
     table = pair_table(OrientedPoints(point, normal), STEP_M)
     assert len(table.first) == table.start[-1] == 2 * (pdist(point) > STEP_M / 2).sum()
@@ -57,7 +57,7 @@ def test_every_pair_is_in_the_table_with_a_feature_that_no_motion_changes():
         np.testing.assert_allclose(np.exp(1j * turn), np.exp(1j * turn[0]), atol=1e-5)
 
 
-def test_each_reference_point_votes_for_the_pose_within_half_a_bin_of_rotation():
+def test_votes_of_each_reference_point_are_within_half_a_bin_of_the_rotation():
     point, normal = scattered(60)
     index = np.arange(5, 45)
     T, weight = voted(moved(SOMEWHERE, point[index], normal[index]), (point, normal), range(10))
@@ -74,7 +74,7 @@ def test_each_reference_point_votes_for_the_pose_within_half_a_bin_of_rotation()
 
 
 @pytest.mark.parametrize("points", [2, 3, 6])
-def test_a_vote_has_a_weight_of_one_over_the_root_of_pairs_with_its_feature(points):
+def test_the_weight_of_a_vote_is_one_over_the_root_of_pairs_with_its_feature(points):
     """Points in a row: in both directions, each two neighbours are a pair of one feature."""
     model = np.zeros((points, 3)), np.tile([0.0, 0.0, 1.0], (points, 1))
     model[0][:, 0] = 0.01 * np.arange(points)
@@ -105,7 +105,7 @@ def about(T, middle, axis, angle):
     return T @ rigid(R, middle - R @ middle)
 
 
-def test_similar_poses_add_their_votes_and_the_best_of_them_represents_all(block):
+def test_votes_for_similar_poses_are_added_and_the_best_pose_is_kept(block):
     """Three poses of 3, 2 and 2 votes, one of them rotated by the symmetry, beat one of 5."""
     model, _, half = block
     near = SOMEWHERE @ rigid(axis_rotation("x", 0.05), np.array([0.001, 0, 0]))

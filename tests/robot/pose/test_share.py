@@ -18,7 +18,7 @@ SCENE = 60  # The constants were chosen with other scenes.
 
 
 @pytest.mark.slow
-def test_nearly_all_poses_are_found_in_scans_by_outlines_and_most_by_boxes(
+def test_nearly_all_poses_are_found_from_outlines_and_most_from_boxes(
     mitsuba_renderer,
 ):
     """A scene of each part with the rig `paper` has 63 instances that are visible to 70 %.

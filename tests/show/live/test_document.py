@@ -76,7 +76,7 @@ def test_an_unchanged_configuration_is_written_as_it_was(path):
     assert files_of(document(), path, rig_name="rig.yaml") == (WORDS, None)
 
 
-def test_a_changed_rig_is_a_file_of_its_own_exact_to_the_last_bit(path):
+def test_a_changed_rig_is_saved_exactly_in_a_separate_file(path):
     turned = replace(
         document(rig="like-phoxi-m", resolution="small"),
         rig=RigChange(power=1.7, baseline=0.9, toe_in_deg=0.3),
@@ -109,7 +109,7 @@ def test_toe_in_rotates_the_axes_by_its_value_and_keeps_the_baseline(side, axis)
     assert turned_rig(rig, RigChange()).T_cam_proj.tolist() == rig.T_cam_proj.tolist()
 
 
-def test_a_slider_of_a_surface_keeps_its_roughness_map(tmp_path):
+def test_the_slider_for_a_surface_keeps_the_roughness_map(tmp_path):
     """A control sends its whole section; its initial values include the map's name."""
     Image.fromarray(np.zeros((2, 2), dtype=np.uint8)).save(tmp_path / "worn.png")
     worn = {"roughness_map": "worn.png", "roughness": 0.4}

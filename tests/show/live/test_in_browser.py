@@ -119,7 +119,7 @@ def compared(page, server, renderer):
     np.testing.assert_array_equal(scene_map(page, "reason"), shot.sample.scanner_depth.reason)
 
 
-def test_every_control_changes_its_setting_and_shows_the_picture_of_preview(page, server):
+def test_every_control_changes_its_setting_and_the_shown_picture(page, server):
     """Oracle: the file that Save writes, read by `load_config` and rendered by `make_scene`."""
     cell = resolve_cell(load_config(server.session._path), server.session._path.parent)
     done = set()
@@ -151,7 +151,7 @@ def test_every_control_changes_its_setting_and_shows_the_picture_of_preview(page
     assert len(done) > 45 and page.evaluate("Graycast.live.errors") == []
 
 
-def test_a_moved_slider_is_one_step_of_undo(page):
+def test_moving_a_slider_is_a_single_undo_step(page):
     slider = page.locator('[data-key="exposure.target"] input[type=range]')
     slider.focus()
     before = page.locator("#text").input_value()
@@ -164,7 +164,7 @@ def test_a_moved_slider_is_one_step_of_undo(page):
     assert page.locator("#text").input_value() == before
 
 
-def test_the_rig_is_dragged_in_the_3d_view(page):
+def test_the_rig_can_be_dragged_in_the_3d_view(page):
     x, y = page.evaluate("Graycast.opened().world.handles()[0]")
     box = page.locator("#cloud").bounding_box()
     x, y = box["x"] + x, box["y"] + y
@@ -225,7 +225,7 @@ def test_all_figures_are_visible_in_a_window_of_1500_by_950(page):
     assert page.get_attribute('[data-toggle="parts"]', "aria-pressed") == "true"
 
 
-def test_the_page_of_a_cell_without_a_picture_has_its_controls(browser, page, server):
+def test_the_page_of_a_cell_that_fails_to_render_has_its_controls(browser, page, server):
     """Also a second page, and one opened after all were closed: the control can undo the change."""
     number = page.locator('[data-key="view.distance_m"] input[type=number]')
     number.fill("5")
@@ -247,7 +247,7 @@ def test_the_page_of_a_cell_without_a_picture_has_its_controls(browser, page, se
     again.close()
 
 
-def test_controls_exist_before_any_picture(browser, server):
+def test_controls_exist_before_the_first_picture(browser, server):
     """In this test, no process makes pictures."""
     server.session.open = lambda: None
     page = browser.new_page()
@@ -263,7 +263,7 @@ def test_controls_exist_before_any_picture(browser, server):
     page.close()
 
 
-def test_a_refused_text_stays_so_that_it_can_be_corrected(page):
+def test_a_refused_text_remains_in_its_field(page):
     text = page.locator("#text")
     wrong = text.input_value().replace("count: 3", "count: 4\nconut: 3")
     text.fill(wrong)
@@ -279,7 +279,7 @@ def test_a_refused_text_stays_so_that_it_can_be_corrected(page):
     assert "count: 4" in text.input_value()
 
 
-def test_a_low_bit_depth_names_the_conflicting_setting_which_has_a_control(page):
+def test_the_error_for_a_low_bit_depth_names_a_setting_that_has_a_control(page):
     depth = page.locator('[data-key="sensor.bit_depth"] input[type=number]')
     depth.fill("6")
     depth.press("Enter")

@@ -86,7 +86,7 @@ def watched(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_first_pictures_are_rough_and_the_last_is_that_of_preview(watched):
+def test_the_first_pictures_are_rough_and_the_last_equals_that_of_preview(watched):
     kinds = watched.show(seed=5, render={"samples": 6})
     pictures = [one for one in watched.answers if one.kind == "picture"]
     assert [one.header["samples"] for one in pictures] == [1, 1, 4, 4, 6, 6]  # colour comes later
@@ -148,7 +148,7 @@ def box(**words):
         ({"view": {"tilt_deg": 20.0}}, False),
     ],
 )
-def test_parts_are_dropped_again_only_after_changes_that_move_them(tmp_path, sections, falls):
+def test_parts_are_dropped_again_only_after_changes_that_affect_the_heap(tmp_path, sections, falls):
     def key(**sections):
         config = load_config(write_cell(tmp_path, **sections))
         scene = resolve_cell(config, tmp_path).scene
@@ -211,7 +211,7 @@ def test_a_moved_rig_is_rendered_without_a_new_drop(watched):
 
 
 @pytest.mark.slow
-def test_a_surface_needs_rendering_and_a_number_of_parts_needs_physics(watched):
+def test_a_changed_surface_is_rendered_and_a_changed_number_of_parts_dropped_again(watched):
     watched.show()  # the slow suite has shown nothing before
     box = watched.config.bin.model_dump(exclude_none=True)
     material = box["material"] | {"base_color": (0.8, 0.8, 0.8)}
@@ -245,7 +245,7 @@ def test_an_edited_file_is_read_again_even_if_its_name_is_unchanged(watched):
 
 
 @pytest.mark.parametrize("word", ["material", "map", "rig"])
-def test_the_light_depends_on_the_content_of_the_pictures_of_a_cell(tmp_path, word):
+def test_changed_picture_files_of_a_cell_are_rendered_again(tmp_path, word):
     picture = tmp_path / "picture.png"
     write_cell(tmp_path)
     settings = yaml.safe_load((tmp_path / "cell.yaml").read_text())
@@ -266,7 +266,7 @@ def test_the_light_depends_on_the_content_of_the_pictures_of_a_cell(tmp_path, wo
 
 
 @pytest.mark.slow
-def test_a_new_request_interrupts_the_rendering_of_the_old_one(watched):
+def test_a_new_request_interrupts_the_current_rendering(watched):
     """Rough pictures are finished, so that a moving hand sees some."""
     passes, line = [], watched.line
 
@@ -286,7 +286,7 @@ def test_a_new_request_interrupts_the_rendering_of_the_old_one(watched):
 
 
 @pytest.mark.slow
-def test_a_change_of_the_sensor_during_a_rough_picture_continues_with_it(watched):
+def test_a_sensor_change_during_a_rough_picture_reuses_the_rough_picture(watched):
     watched.show(seed=6)
     lit = watched.line._lit
     rough = replace(lit, quality=replace(lit.quality, samples=4), final=False)

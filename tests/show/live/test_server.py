@@ -59,7 +59,7 @@ def do(server, **command):
     return json.loads(text)
 
 
-def test_the_server_has_the_page_and_its_scripts_and_no_other_file(server):
+def test_the_server_delivers_only_the_page_and_its_scripts(server):
     status, page = response(server, "GET", "/")
     assert status == 200
     for name in re.findall(r'(?:src|href)="(\w+\.\w+)"', page):
@@ -122,14 +122,14 @@ def test_settings_can_be_set_undone_redone_and_restored(server):
         ({"do": "dance"}, 'the page asked for {"do": "dance"}: reload it'),
     ],
 )
-def test_a_refused_setting_is_reported_and_changes_nothing(server, command, message):
+def test_a_refused_setting_is_reported_without_any_change(server, command, message):
     before = server.session.state()
     assert message in do(server, **command)["error"]
     assert server.session.state() == before
 
 
 @pytest.mark.slow
-def test_a_file_that_was_saved_here_may_be_overwritten(server, tmp_path):
+def test_a_file_saved_by_the_same_server_may_be_overwritten(server, tmp_path):
     do(server, do="set", key="rig.power", value=2)
     assert do(server, do="save", name="mine.yaml") == {"saved": str(tmp_path / "mine.yaml")}
     assert (tmp_path / "mine_rig.yaml").exists()
@@ -146,7 +146,7 @@ def test_a_used_port_and_a_wrong_file_are_reported(server, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_saved_file_gives_the_cell_that_is_shown(server):
+def test_a_saved_file_describes_the_cell_on_the_page(server):
     """`test_line.py` tests that a shown cell equals `make_scene`'s."""
     for key, value in (("ambient", 2.5), ("rig.power", 0.7), ("rig.toe_in_deg", 0.5)):
         do(server, do="set", key=key, value=value)
@@ -159,7 +159,7 @@ def test_a_saved_file_gives_the_cell_that_is_shown(server):
 
 
 @pytest.mark.slow
-def test_a_page_that_opens_later_is_told_why_there_is_no_picture(server, monkeypatch):
+def test_a_page_opened_later_shows_why_the_picture_is_missing(server, monkeypatch):
     """Otherwise a page whose stream was interrupted would wait for ever."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
     monkeypatch.setattr("graycast.show.live.session.PictureProcess", lambda **_: idle)
@@ -185,7 +185,7 @@ def test_a_page_that_opens_later_is_told_why_there_is_no_picture(server, monkeyp
 
 
 @pytest.mark.slow
-def test_a_page_that_joins_while_an_answer_arrives_receives_it(server, monkeypatch):
+def test_a_page_opened_during_an_answer_receives_the_answer(server, monkeypatch):
     """The answer arrives after the page has read the existing ones and before it listens."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
     monkeypatch.setattr("graycast.show.live.session.PictureProcess", lambda **_: idle)
@@ -208,7 +208,7 @@ def test_a_page_that_joins_while_an_answer_arrives_receives_it(server, monkeypat
 
 
 @pytest.mark.slow
-def test_a_killed_process_is_restarted_unless_it_finished_nothing(tmp_path):
+def test_a_killed_process_is_restarted_only_if_it_finished_a_picture(tmp_path):
     """A killed process represents one that crashed, or that ran out of memory."""
     queue = SimpleQueue()
     session = Session(write_cell(tmp_path), device="cpu", on_message=queue.put)
@@ -241,7 +241,7 @@ def test_a_killed_process_is_restarted_unless_it_finished_nothing(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_process_that_makes_pictures_lives_as_long_as_a_page(server):
+def test_the_picture_process_ends_when_the_last_page_is_closed(server):
     threads = threading.active_count()
     pages = []
     for _ in range(2):

@@ -19,7 +19,7 @@ def where(session):
 
 
 @pytest.mark.slow
-def test_undone_settings_are_gone_after_another_change(session):
+def test_undone_settings_cannot_be_redone_after_another_change(session):
     for ambient in (2.0, 3.0, 4.0):
         session.set("ambient", ambient)
     session.undo(2)
@@ -35,7 +35,7 @@ def test_undone_settings_are_gone_after_another_change(session):
 
 
 @pytest.mark.slow
-def test_consecutive_drafts_are_one_step_of_undo(session):
+def test_consecutive_drafts_are_a_single_undo_step(session):
     session.set("ambient", 2.0)
     for ambient in (3.0, 4.0, 5.0):
         session.set("ambient", ambient, draft=True)

@@ -49,19 +49,19 @@ def test_the_crop_contains_the_walls_of_the_bin_and_little_more():
 
 
 @pytest.mark.parametrize(("row", "column"), [(2, 3), (290, 390), (150, 1)])
-def test_a_part_outside_the_bin_is_in_the_crop(row, column):
+def test_the_crop_includes_a_part_outside_the_bin(row, column):
     left, top, width, height = bin_crop(scene_of(BOX), part_at(row, column, 0.49))
     assert left <= column and column + 5 <= left + width
     assert top <= row and row + 5 <= top + height
 
 
-def test_a_bin_longer_than_the_height_of_the_picture_does_not_make_a_tall_sheet():
+def test_the_crop_of_a_tall_bin_is_at_least_as_wide_as_high():
     left, top, width, height = bin_crop(scene_of(Bin(inner_m=(0.02, 0.3, 0.1))), truth_of())
     assert (top, height) == (0, HEIGHT) and width >= height
     assert left + width / 2 == pytest.approx(WIDTH / 2, abs=1)
 
 
-def test_without_a_visible_bin_the_whole_picture_is_shown():
+def test_the_whole_picture_is_shown_if_no_bin_is_visible():
     whole = (0, 0, WIDTH, HEIGHT)
     assert bin_crop(scene_of(None), truth_of()) == whole
     aside = ABOVE.copy()

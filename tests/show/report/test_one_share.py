@@ -39,7 +39,7 @@ def pixels_of(out):
 
 
 @pytest.mark.slow
-def test_run_statistics_card_and_page_state_the_same_share(tmp_path):
+def test_the_run_statistics_card_and_page_state_the_same_share(tmp_path):
     """One scene is empty, and the others differ. Oracle: a count of the pictures' pixels."""
     cell = load_cell(write_cell(tmp_path, count=[0, 9]))
     out = tmp_path / "out"

@@ -101,7 +101,7 @@ def test_a_build_continues_after_a_failure(dataset, tmp_path):
     assert write_report(out, tmp_path / "page").current == 1
 
 
-def test_a_folder_of_other_files_is_not_written_into(dataset, tmp_path):
+def test_no_page_is_written_into_a_folder_of_other_files(dataset, tmp_path):
     (tmp_path / "thesis.tex").write_text("x")
     with pytest.raises(GraycastError, match=r"thesis\.tex"):
         write_report(dataset, tmp_path)
@@ -109,7 +109,7 @@ def test_a_folder_of_other_files_is_not_written_into(dataset, tmp_path):
         write_report(dataset, dataset)
 
 
-def test_the_page_needs_nothing_from_the_network(dataset, tmp_path):
+def test_the_page_loads_no_file_from_the_network(dataset, tmp_path):
     write_report(dataset, tmp_path / "page")
     page = (tmp_path / "page/index.html").read_text()
     for name in re.findall(r'(?:src|href)="([^"#]+)"', page):
@@ -119,7 +119,7 @@ def test_the_page_needs_nothing_from_the_network(dataset, tmp_path):
         assert addresses <= {"http://www.w3.org/2000/svg"}, path.name
 
 
-def test_reasons_have_the_same_colours_as_in_all_pictures(dataset, tmp_path):
+def test_reasons_have_the_same_colours_on_the_page_as_in_pictures(dataset, tmp_path):
     write_report(dataset, tmp_path / "page")
     text = (tmp_path / "page/index.js").read_text()
     index = json.loads(text.removeprefix("Graycast.report = ").rstrip().rstrip(";"))

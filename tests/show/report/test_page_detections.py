@@ -74,7 +74,7 @@ def received(page, name):
     return json.loads(text.removeprefix("Graycast.receive(").removesuffix(");\n"))
 
 
-def test_a_scene_s_script_has_the_match_of_each_detection(run_report):
+def test_the_script_of_a_scene_contains_the_match_of_each_detection(run_report):
     _, examples, page = run_report
     scene_0 = received(page, "train-000000/detections.js")
     assert {one["state"] for one in scene_0["detections"]} <= {"hit", "ignored"}
@@ -190,7 +190,7 @@ def test_a_false_alarm_is_drawn_at_its_position(page, run_report):
     assert page.locator("#found > *").count() > 0
 
 
-def test_a_scene_outside_the_run_says_so(page, run_report):
+def test_a_scene_outside_the_run_is_marked_as_such(page, run_report):
     opened(page, run_report, 4)
     assert "was not run on this scene" in page.locator("#found-list").inner_text()
     assert page.locator("#toggle-found").count() == 0

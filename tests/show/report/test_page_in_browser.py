@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 NONE = "\N{EN DASH}"  # the page's text for a missing value
 
 
-def test_the_browser_has_the_dataset_s_numbers(page, report):
+def test_the_browser_shows_the_numbers_of_the_dataset(page, report):
     """Oracle: the PNGs, pixel by pixel, through packing and JavaScript."""
     dataset, samples, _ = report
     for scene_id in SCENES:
@@ -35,7 +35,7 @@ def test_the_browser_has_the_dataset_s_numbers(page, report):
 
 
 @pytest.mark.parametrize("which", ["depth", "scanner"])
-def test_projector_positions_agree_with_optics(page, report, rig, which):
+def test_projector_positions_in_the_browser_agree_with_optics(page, report, rig, which):
     """Oracle: `optics.rays` and `project`, with the distortion of both lenses."""
     opened(page, report, 0)
     step = scene_map(page, which)
@@ -66,7 +66,7 @@ def test_projector_positions_agree_with_optics(page, report, rig, which):
         ((0.0, 0.0, 0.9, 0.0, 0.0), True),
     ],
 )
-def test_rays_are_refused_wherever_optics_refuses_them(page, report, rig, distortion, folds):
+def test_the_browser_refuses_the_same_rays_as_optics(page, report, rig, distortion, folds):
     """Oracle: `optics.rays`, which refuses a lens that folds over within the picture."""
     opened(page, report, 0)
     result = page.evaluate(
@@ -92,7 +92,7 @@ def test_rays_are_refused_wherever_optics_refuses_them(page, report, rig, distor
 
 
 @pytest.mark.parametrize("k", [(-1.5, 0.0, 0.0), (-2.0, 1.0, 0.0), (0.1, -3.0, 0.2)])
-def test_there_is_no_projector_position_beyond_the_end_of_the_lens(page, report, rig, k):
+def test_points_beyond_the_fold_of_the_lens_have_no_projector_position(page, report, rig, k):
     """Oracle: `optics.project`; beyond the fold, the polynomial returns into the picture."""
     opened(page, report, 0)
     lens = replace(rig.projector, distortion=(k[0], k[1], 0.0, 0.0, k[2]))
@@ -131,7 +131,7 @@ def test_a_lens_without_an_inverse_is_reported_where_its_rays_are_needed(page, r
     assert pressed(page) == "scanner"
 
 
-def test_pattern_bits_are_those_of_the_code(page, report):
+def test_pattern_bits_in_the_browser_equal_those_of_the_code(page, report):
     opened(page, report, 0, "pattern")
     page.click("#toggle-shade")
     patterns = CodeSpec().code(160, 120).render()
@@ -221,7 +221,7 @@ def test_captured_frames_are_loaded_only_when_they_are_shown(page, report_with_f
     assert "captured, 12 bit" in page.locator("span.note").inner_text()
 
 
-def test_frames_change_by_arrows_brackets_and_play(page, report_with_frames):
+def test_arrow_keys_bracket_keys_and_play_change_the_frame(page, report_with_frames):
     opened(page, report_with_frames, 0, "pattern")
     slide(page, 16)
     for key, k in (("ArrowDown", 17), ("]", 0), ("ArrowUp", 17), ("[", 16)):
@@ -260,7 +260,7 @@ def test_ideal_bits_are_shown_next_to_captured_frames(page, report_with_frames):
 
 
 @pytest.mark.parametrize("axis", ["column", "sigma_column", "row", "sigma_row"])
-def test_decoded_positions_are_the_stored_ones(page, report_with_frames, axis):
+def test_decoded_positions_on_the_page_equal_the_stored_positions(page, report_with_frames, axis):
     """Oracle: the code map in memory, through TIFF, packing and JavaScript."""
     opened(page, report_with_frames, 0, "column")
     page.select_option("#choose-axis", axis)
@@ -327,7 +327,7 @@ def test_deleted_frames_are_reported(browser, report_with_frames, tmp_path):
     page.close()
 
 
-def test_values_under_the_pointer_are_those_of_the_files(page, report):
+def test_values_under_the_pointer_equal_those_in_the_files(page, report):
     opened(page, report, 3)
     step, scanner = scene_map(page, "depth"), scene_map(page, "scanner")
     instance = scene_map(page, "instance") - 1
@@ -370,7 +370,7 @@ def test_a_reason_selected_in_the_legend_highlights_its_pixels(page, report):
     )
 
 
-def test_views_change_by_keys_and_a_zero_difference_is_white(page, report):
+def test_keys_change_the_view_and_a_zero_difference_is_white(page, report):
     opened(page, report, 0)
     page.keyboard.press("7")
     assert pressed(page) == "difference"
@@ -407,7 +407,7 @@ def test_the_layout_of_a_picture_is_known_when_its_scene_is_ready(page, report):
     assert first == later
 
 
-def test_zoom_keeps_the_pixel_under_the_pointer(page, report):
+def test_zooming_keeps_the_same_pixel_under_the_pointer(page, report):
     opened(page, report, 0)
     page.mouse.move(*place(page, 80, 33))
     for _ in range(3):

@@ -38,7 +38,7 @@ def depth_on_page(page):
     return np.array(steps).reshape(height, width) * scale_mm / 1000
 
 
-def test_each_picture_has_a_card_and_can_be_found_by_name(page):
+def test_each_picture_has_a_card_that_the_search_finds_by_name(page):
     assert page.locator(".card").count() == 2 * len(NAMES)
     page.fill("#find", "right-1")
     page.wait_for_function("document.querySelectorAll('.card').length === 2")
@@ -85,7 +85,7 @@ def test_the_fused_cloud_is_on_the_parts_in_3d(page, page_of_several, several): 
     assert page.get_attribute("#toggle-fused", "aria-pressed") == "false"
 
 
-def test_a_selection_saved_on_the_page_names_pictures(page_of_several):
+def test_a_selection_saved_on_the_page_lists_the_pictures(page_of_several):
     index = (page_of_several.parent / "index.js").read_text()
     content = json.loads(index.removeprefix("Graycast.report = ").removesuffix(";\n"))
     rows = [dict(zip(content["columns"], row, strict=True)) for row in content["scenes"]]

@@ -62,7 +62,7 @@ def tag(page, text):
         ("gear", []),
     ],
 )
-def test_scenes_are_found_by_number_range_and_part(page, text, scene_ids):
+def test_a_search_finds_scenes_by_number_range_and_part(page, text, scene_ids):
     page.keyboard.press("/")
     page.keyboard.type(text)
     page.wait_for_function(f"document.querySelectorAll('.card').length === {len(scene_ids)}")
@@ -74,7 +74,7 @@ def test_scenes_are_found_by_number_range_and_part(page, text, scene_ids):
         assert len(cards(page)) == 3 and page.input_value("#find") == ""
 
 
-def test_an_active_filter_is_shown_and_can_be_removed_there(page):
+def test_an_active_filter_is_shown_with_a_button_that_removes_the_filter(page):
     page.click("#more summary")
     page.fill("#decoded-from", "99.9")
     assert page.locator("#more summary").inner_text().startswith("filters (1)")
@@ -84,7 +84,7 @@ def test_an_active_filter_is_shown_and_can_be_removed_there(page):
     assert len(cards(page)) == 3 and chip.count() == 0
 
 
-def test_cards_are_reached_and_opened_by_keys(page):
+def test_cards_can_be_selected_and_opened_by_keys(page):
     page.keyboard.press("ArrowRight")
     assert focused(page) == "train-000000"
     page.keyboard.press("ArrowRight")
@@ -102,7 +102,7 @@ def test_cards_are_reached_and_opened_by_keys(page):
     assert focused(page) == "train-000004"  # the keys continue from the last scene
 
 
-def test_selected_scenes_can_be_tagged_and_found_by_their_lasting_tag(page):
+def test_tags_of_selected_scenes_are_kept_and_can_be_searched(page):
     page.keyboard.press("ArrowRight")
     page.keyboard.press("x")
     page.keyboard.press("End")
@@ -142,7 +142,7 @@ def test_selected_scenes_can_be_tagged_and_found_by_their_lasting_tag(page):
     assert cards(page) == ["train-000000"]
 
 
-def test_a_saved_selection_is_read_by_export_and_by_the_page(page, report, tmp_path):
+def test_export_and_page_read_a_saved_selection(page, report, tmp_path):
     dataset = report[0]
     page.keyboard.press("End")
     page.keyboard.press("x")
@@ -169,7 +169,7 @@ def test_a_saved_selection_is_read_by_export_and_by_the_page(page, report, tmp_p
     assert page.locator("#ticked b").inner_text() == "1 ticked"
 
 
-def test_a_file_of_another_dataset_is_refused(page, tmp_path):
+def test_a_selection_of_another_dataset_is_refused(page, tmp_path):
     for content, says in (
         ("no", "is not a file of scenes"),
         (
@@ -191,7 +191,7 @@ def test_a_file_of_another_dataset_is_refused(page, tmp_path):
         assert page.locator(".card .chip").count() == 0
 
 
-def test_tags_of_another_dataset_are_not_mixed_in(page, report, tmp_path):
+def test_tags_of_another_dataset_are_not_shown(page, report, tmp_path):
     write_dataset(tmp_path / "bins", scene_ids=(4,))  # with the same name and another rig
     page.keyboard.press("End")
     page.keyboard.press("x")
@@ -300,7 +300,7 @@ def on_screen(page):
     return column
 
 
-def test_two_views_side_by_side_move_together(page, report):
+def test_two_views_side_by_side_are_zoomed_and_moved_together(page, report):
     opened(page, report, 0, "color")
     page.keyboard.press("c")
     page.select_option("#choose-how", "side")
@@ -334,7 +334,7 @@ def test_two_views_side_by_side_move_together(page, report):
     assert readout(page, "pixel") == f"{column}, {row}"
 
 
-def test_the_3d_view_begins_with_the_colours_of_parts_and_others_for_the_scan(page, report):
+def test_the_3d_view_starts_with_different_colours_for_parts_and_scan(page, report):
     opened(page, report, 0, "cloud")
     for name, paint in (("surfacePaint", "instance"), ("pointPaint", "difference")):
         assert page.locator(f"#choose-{name}").input_value() == paint
@@ -347,7 +347,7 @@ def test_the_3d_view_begins_with_the_colours_of_parts_and_others_for_the_scan(pa
     assert len(np.unique(hue[colorful] // 4)) >= min(len(parts) - 1, 4)
 
 
-def test_a_plane_has_one_normal_whatever_the_steps_of_depth(page, report):
+def test_depth_steps_do_not_change_the_normal_of_a_plane(page, report):
     """Oracle: the plane's own normal; steps of 2 mm would tilt normals of neighbours by 45 deg."""
     opened(page, report, 0)
     normals = page.evaluate(

@@ -39,11 +39,11 @@ def cut_corner(part):
 
 
 @pytest.mark.parametrize("at", [0.0, 7.0])
-def test_a_part_weighs_its_volume_times_its_density_wherever_its_frame_is(at):
+def test_the_mass_of_a_part_is_volume_times_density_for_any_frame(at):
     assert mass_kg(block((0.01, 0.02, 0.03), at=at)) == pytest.approx(0.012, rel=1e-9)
 
 
-def test_the_weight_of_a_turned_ring_follows_pappus():
+def test_the_mass_of_a_ring_follows_the_theorem_of_pappus():
     """Oracle: V = 2 pi * (radius of the profile's centroid) * (its area); steel of 7800 kg/m3."""
     from graycast.world.parts.builtin import RING_PROFILE_MM
 
@@ -64,7 +64,7 @@ def test_the_weight_of_a_turned_ring_follows_pappus():
         ((0.01, 0.01, 0.53), "the part block is 530 mm long, and the diagonal of the bin is 520"),
     ],
 )
-def test_a_part_in_the_wrong_unit_causes_a_note(size_m, note):
+def test_a_part_in_a_wrong_unit_causes_a_note(size_m, note):
     notes = size_notes([block(size_m, density_kg_m3=7850.0)], (0.4, 0.3, 0.1428))
     assert [one[: len(note or "")] for one in notes] == ([note] if note else [])
 
@@ -111,7 +111,7 @@ def test_a_part_of_any_size_fills_its_tile(size_m):
     assert reach.max() == pytest.approx(0.86, rel=1e-6)
 
 
-def test_a_part_is_on_the_floor_and_the_camera_is_in_front_and_above():
+def test_a_part_is_on_the_floor_and_seen_from_the_front_and_above():
     scene, layout = portrait_scene(block((0.1, 0.2, 0.3), at=3.0))
     world = transform_points(layout.T_world_part[0], scene.parts[0].mesh.vertices_m)
     assert world[:, 2].min() == pytest.approx(scene.surfaces[0].center_m[2])
@@ -120,7 +120,7 @@ def test_a_part_is_on_the_floor_and_the_camera_is_in_front_and_above():
     assert scene.T_world_cam[2, 1] < 0  # Down in the picture is down in the world.
 
 
-def test_no_parts_are_refused(tmp_path):
+def test_an_empty_list_of_parts_is_refused(tmp_path):
     with pytest.raises(ValueError, match="no parts"):
         draw_parts((), tmp_path / "parts.png", renderer=open_renderer("reference"))
 

@@ -57,7 +57,7 @@ def unpacked(text, kind="<f4"):
     return np.frombuffer(zlib.decompress(base64.b64decode(text)), kind)
 
 
-def test_the_robot_s_links_have_the_poses_of_its_kinematics(replay, motions):
+def test_the_links_of_the_robot_have_the_poses_of_its_kinematics(replay, motions):
     """Law: the last link's pose relative to the flange is that of the URDF at every time."""
     motion, robot = motions[0], replay.robot
     assert motion.T_world_limb.shape[:2] == (STEPS, len(replay.limbs))
@@ -71,7 +71,7 @@ def test_the_robot_s_links_have_the_poses_of_its_kinematics(replay, motions):
 
 
 @pytest.mark.slow
-def test_folders_of_picks_are_counted_and_compared(picks, capsys, tmp_path):
+def test_picks_of_several_folders_are_counted_and_compared(picks, capsys, tmp_path):
     """Computed by hand: of four grips in two bins, two removed a part and two lost it."""
     other = shutil.copytree(picks, tmp_path / "other")
     plot = tmp_path / "runs.png"
@@ -95,7 +95,7 @@ def test_a_carried_part_keeps_its_pose_in_the_tool(replay, motions, picks):
     assert motion.held_until_s == pytest.approx(STEP_S * (STEPS - 1))
 
 
-def test_a_lost_part_is_released_at_that_time(motions):
+def test_a_lost_part_is_released_at_the_time_of_its_loss(motions):
     motion = motions[1]
     assert motion.grip == GRIP
     assert motion.held_until_s == pytest.approx(STEP_S * GRIP + LOST_S)
@@ -105,7 +105,7 @@ def test_a_lost_part_is_released_at_that_time(motions):
     assert motions[2] is None
 
 
-def test_packed_poses_are_unpacked(motions):
+def test_packed_poses_are_unpacked_to_the_same_poses(motions):
     """Oracle: SciPy rotates the quaternions; between two times, none changes its sign."""
     T = motions[0].T_world_limb
     places = unpacked(packed_places(T)).reshape(*T.shape[:2], 7)
@@ -115,7 +115,7 @@ def test_packed_poses_are_unpacked(motions):
     assert ((places[1:, :, 3:] * places[:-1, :, 3:]).sum(axis=-1) > 0.9).all()
 
 
-def test_the_quaternions_of_a_full_rotation_have_no_jump():
+def test_quaternions_over_a_full_rotation_have_no_jump():
     """About any axis, a full rotation passes the quaternion's change of sign."""
     angles = np.linspace(0, 4 * np.pi, 200)
     T = np.stack([rigid(Rotation.from_rotvec([0, a, 0]).as_matrix(), np.zeros(3)) for a in angles])

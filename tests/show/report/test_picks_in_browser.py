@@ -57,7 +57,7 @@ def matrices(page, script):
     return T
 
 
-def test_the_browser_shows_the_robot_s_links_at_python_s_poses(page, address, picks):
+def test_the_browser_and_python_give_the_robot_links_the_same_poses(page, address, picks):
     """Oracle: the robot's own kinematics; between two times, the mean of both."""
     replay = open_replay(picks, folder=picks.parent)
     motions = read_motions(replay, read_episodes(picks)[1])
@@ -97,7 +97,7 @@ def test_the_part_moves_with_the_tool_until_its_release(page, address, picks):
     np.testing.assert_allclose(fell, episode.attempts[2]["T_world_part"][0], atol=1e-5)
 
 
-def test_the_opened_scan_is_the_stored_depth(page, address, picks):
+def test_the_scan_on_the_page_equals_the_stored_depth(page, address, picks):
     for number in range(3):
         opened(page, address, f"bin-000000/{number}")
         scan = np.array(page.evaluate("Array.from(Graycast.opened().scan.scanner)"))
@@ -151,7 +151,7 @@ def test_the_3d_view_draws_the_selected_layers(page, address):
     assert (np.abs(picture() - here).max(axis=2) > 20).mean() > 5e-3  # the arm has moved
 
 
-def test_play_shows_all_attempts(page, address):
+def test_the_play_button_shows_all_attempts(page, address):
     opened(page, address, "bin-000000/0")
     page.select_option("#speed", "8")
     page.keyboard.press("Space")
@@ -180,7 +180,7 @@ def test_attempts_are_listed_and_filtered_by_outcome(page, address):
     assert page.locator(".attempt").count() == 3
 
 
-def test_the_text_changes_with_the_time(page, address):
+def test_the_description_changes_with_the_time_of_the_attempt(page, address):
     opened(page, address, "bin-000000/0")
     page.keyboard.press("ArrowRight")
     ready(page, "bin-000000/1")
@@ -204,7 +204,7 @@ def test_a_missing_bin_is_reported(page, address):
         assert text in page.locator(".sorry").inner_text()
 
 
-def test_no_two_rows_of_the_table_of_seconds_share_a_name(page):
+def test_no_two_rows_in_the_table_of_seconds_have_the_same_name(page):
     """The scanner's own seconds and those of computing a scan are different."""
     names = page.locator("#stages th").all_inner_texts()
     assert len(names) >= 3 and len(names) == len(set(names))

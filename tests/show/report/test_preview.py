@@ -169,7 +169,7 @@ def test_pictures_are_upright_and_not_mirrored_on_the_sheet(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_same_scene_gives_the_same_bytes_and_no_other_file(tmp_path):
+def test_preview_writes_one_file_with_the_same_bytes_for_the_same_scene(tmp_path):
     (tmp_path / "b.png").write_text("an older sheet")
     for name in ("a.png", "b.png"):
         preview.draw_preview(make_shot(), CODE, tmp_path / name)
@@ -193,7 +193,7 @@ def test_a_code_other_than_the_captured_one_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_head_of_a_scan_lists_all_its_exposures(tiles):
+def test_the_heading_of_a_sheet_lists_all_exposures_of_the_scan(tiles):
     shot = make_shot()
     exposure_s = np.full((HEIGHT, WIDTH), 0.02, dtype=np.float32)
     exposure_s[:10] = 0.005
@@ -204,7 +204,7 @@ def test_the_head_of_a_scan_lists_all_its_exposures(tiles):
 
 
 @pytest.mark.slow
-def test_the_head_lists_an_exposure_that_no_pixel_uses(tiles):
+def test_the_heading_lists_an_exposure_that_no_pixel_uses(tiles):
     """All pixels use the longest of four exposures; the head lists the other three, too."""
     shot = make_shot()
     times_s = (0.001, 0.01, 0.1, 0.4)
@@ -234,7 +234,7 @@ def test_a_scene_without_parts_and_without_depth_gives_a_sheet(tiles):
 
 
 @pytest.mark.slow
-def test_the_head_has_the_number_of_parts_and_the_physics(tiles):
+def test_the_heading_states_the_number_of_parts_and_the_physics_engine(tiles):
     many = Layout(
         T_world_part=np.tile(np.eye(4), (3, 1, 1)),
         part_index=np.zeros(3, dtype=np.int64),
@@ -252,7 +252,7 @@ def test_the_head_has_the_number_of_parts_and_the_physics(tiles):
 
 
 @pytest.mark.slow
-def test_every_tile_except_the_close_up_shows_the_bin_and_the_head_its_size(tiles):
+def test_every_tile_except_the_close_up_shows_the_bin_whose_size_is_stated(tiles):
     shot = make_shot()
     T_world_cam = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, WALL_M], [0, 0, 0, 1]])
     box = Bin(inner_m=(0.12, 0.1, 0.1), wall_m=0.01)
@@ -283,7 +283,7 @@ def test_frames_range_from_the_dark_level_to_saturation(tiles):
     assert np.unique(white[:, 40:]).tolist() == [188]
 
 
-def test_the_sheet_shows_the_third_coarsest_and_the_finest_bit(tiles):
+def test_the_sheet_shows_the_third_coarsest_bit_and_the_finest_bit(tiles):
     """Each frame has its own level; 64 columns have the bits 5 to 0, after white and black."""
     level = np.arange(len(CODE.frames), dtype=np.uint16)[:, None, None] * 200 + 100
     frames = np.broadcast_to(level, (len(CODE.frames), HEIGHT, WIDTH)).copy()
@@ -296,7 +296,7 @@ def test_the_sheet_shows_the_third_coarsest_and_the_finest_bit(tiles):
 
 
 @pytest.mark.slow
-def test_too_far_is_red_too_near_is_blue_and_unknown_is_grey(tiles):
+def test_depth_errors_are_red_for_too_far_blue_for_too_near_and_grey_for_unknown(tiles):
     error_m = np.zeros((HEIGHT, WIDTH), dtype=np.float32)
     error_m[:, :20], error_m[:, 20:40] = 0.05, -0.05
     reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
@@ -307,7 +307,7 @@ def test_too_far_is_red_too_near_is_blue_and_unknown_is_grey(tiles):
     assert right.min() > 240 and np.ptp(unknown) == 0 and unknown.max() < 200
 
 
-def test_both_depths_have_the_same_colours(tiles):
+def test_perfect_and_measured_depth_have_the_same_colour_scale(tiles):
     _, by_title = tiles(make_shot())
     np.testing.assert_array_equal(
         image(by_title["perfect depth"]), image(by_title["scanner's depth"])

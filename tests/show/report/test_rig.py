@@ -34,7 +34,7 @@ def parallel_rig(rotation=None):
 
 
 @pytest.mark.parametrize("z_m", [0.4, 1.0, 3.0])
-def test_fields_of_a_parallel_rig_follow_similar_triangles(z_m):
+def test_fields_of_view_of_a_parallel_rig_follow_similar_triangles(z_m):
     rig = parallel_rig()
     camera = footprint_m(rig.camera, np.eye(4), z_m)
     assert np.allclose(np.abs(camera).max(axis=0), [0.5 * z_m, 0.4 * z_m])
@@ -48,7 +48,7 @@ def test_fields_of_a_parallel_rig_follow_similar_triangles(z_m):
 
 
 @pytest.mark.parametrize("z_m", [0.384, 0.45, 0.52])
-def test_the_common_field_of_a_toed_in_rig_agrees_with_random_points(z_m):
+def test_the_common_field_of_view_of_a_toed_in_rig_agrees_with_random_points(z_m):
     """Oracle: random points of the plane that both pinhole projections see."""
     rig = preset_rig("like-phoxi-s")
     rng = np.random.default_rng(0)
@@ -73,7 +73,7 @@ def test_a_projector_that_looks_sideways_has_no_footprint():
     assert common_field(rig, 1.0).shape == (0, 2)
 
 
-def test_the_text_has_the_figures_of_similar_triangles():
+def test_the_description_of_a_rig_has_the_figures_of_similar_triangles():
     """z^2 / (f b) per column: 1.0 / 150 m at 1 m; out of the field nearer than 1 m."""
     text = describe_rig(parallel_rig())
     assert "baseline          300.0 mm" in text
@@ -112,7 +112,7 @@ def purple_share(rig, path):
 
 
 @pytest.mark.slow
-def test_the_picture_shows_a_common_volume_only_where_there_is_one(tmp_path):
+def test_the_picture_shows_a_common_volume_only_if_the_fields_of_view_overlap(tmp_path):
     assert purple_share(preset_rig("like-phoxi-s"), tmp_path / "s.png") > 0.05
     aside = parallel_rig(axis_rotation("y", np.pi / 2))
     assert purple_share(aside, tmp_path / "aside.png") < 0.002  # the legend's patch
@@ -123,7 +123,7 @@ def test_the_picture_shows_a_common_volume_only_where_there_is_one(tmp_path):
 @pytest.mark.parametrize(
     "name", [slow("like-phoxi-m"), slow("like-zivid-2-m70"), "office-projector"]
 )
-def test_both_views_have_one_scale_and_fill_their_areas(name, monkeypatch, tmp_path):
+def test_the_two_views_of_a_rig_have_one_scale_and_fill_their_areas(name, monkeypatch, tmp_path):
     """A millimetre is as long in one view as in the other, and little space is empty."""
     figures = []
     monkeypatch.setattr(rig_picture, "save_png", lambda figure, path, dpi: figures.append(figure))

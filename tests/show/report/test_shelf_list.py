@@ -32,14 +32,14 @@ def parallel_rig():
     ("field_m", "fits"),
     [((0.79, 0.49), True), ((0.81, 0.49), False), ((0.79, 0.51), False), ((0.49, 0.79), True)],
 )
-def test_a_rectangle_fits_up_to_the_overlap_of_both_fields(field_m, fits):
+def test_a_rectangle_up_to_the_overlap_of_the_two_fields_fits(field_m, fits):
     """Oracle: 1 m minus 0.2 m of baseline is common at one metre, and half a metre of height."""
     assert covers(parallel_rig(), field_m, 1.0) is fits
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.6, slow(1.0), slow(2.0)])
-def test_a_rectangle_fits_into_a_slanted_field_as_a_search_finds(ratio):
+def test_the_largest_rectangle_in_a_slanted_field_agrees_with_a_search(ratio):
     """Oracle: rectangles around a grid of points, whose corners are projected into both pictures.
 
     Keystone from two sides: only the camera's sides of this field are parallel.
@@ -72,11 +72,11 @@ def test_no_rectangle_fits_if_the_fields_do_not_overlap():
     assert not covers(replace(rig, T_cam_proj=T), (0.01, 0.01), 1.0)
 
 
-def test_without_a_condition_all_scanners_are_listed():
+def test_all_scanners_are_listed_without_a_condition():
     assert names() == list(PRESETS)
 
 
-def test_those_with_a_large_field_at_one_metre_are_listed():
+def test_only_scanners_with_a_large_field_at_one_metre_are_listed():
     """Computed by hand: 600 x 400 mm at 1 m is too large for an XS, S, nano or M60, and 1 m is too
     near for an XL. The field of the M130 is 2448 / 4028 m wide and 2048 / 4028 m high."""
     listed = names(field_m=(0.6, 0.4), at_m=1.0)
@@ -89,7 +89,7 @@ def test_those_with_a_large_field_at_one_metre_are_listed():
     assert "like-zivid-2plus-m130" not in names(field_m=(0.62, 0.4), at_m=1.0)
 
 
-def test_noise_is_that_of_measured_distances_and_quadratic_between_them(monkeypatch):
+def test_noise_between_measured_distances_is_interpolated_quadratically(monkeypatch):
     """Oracle: a scanner whose noise is 1e-4 of the squared distance, at any distance."""
     own = measured().scanners["like-phoxi-m"]
     for z_m, noise_m in zip(own.z_m, own.noise_m, strict=True):
@@ -102,7 +102,7 @@ def test_noise_is_that_of_measured_distances_and_quadratic_between_them(monkeypa
         assert stored_noise_m("like-phoxi-m", z_m) == pytest.approx(1e-4 * z_m**2)
 
 
-def test_a_stricter_condition_leaves_fewer_scanners():
+def test_a_stricter_condition_lists_fewer_scanners():
     listed = [set(names(at_m=1.0, noise_m=noise_m)) for noise_m in (1e-2, 1.5e-4, 1e-9)]
     assert listed[0] > listed[1] > listed[2] == set()
     assert listed[0] == set(names(at_m=1.0)) - {"paper"}
@@ -112,7 +112,7 @@ def test_a_stricter_condition_leaves_fewer_scanners():
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_each_stated_number_of_a_line_has_the_class_of_its_source(name):
+def test_each_number_in_the_list_has_the_class_of_its_source(name):
     """Oracle: the text of each number; without classes, a number is followed by its unit."""
     line = next(line for line in shelf_lines() if line.split()[0] == name)
     kinds = {
@@ -134,7 +134,7 @@ def test_a_scanner_s_sources_are_printed_with_each_number():
     assert len(stated) == len(stated_numbers("like-mech-eye-nano"))
 
 
-def test_the_paper_s_rig_has_only_the_sources_of_its_geometry():
+def test_the_rig_of_the_paper_has_sources_for_its_geometry_only():
     lines = source_lines("paper")
     assert lines[0].startswith("The geometry is that of like-phoxi-m")
     assert not any(line.startswith(("light", "claims", "f_number")) for line in lines)

@@ -51,7 +51,7 @@ def crate(tmp_path):
     return BinSection(mesh="crate.stl", unit="mm")
 
 
-def test_the_walls_of_a_box_are_its_inside_and_its_rim(tmp_path):
+def test_the_walls_of_a_box_bin_are_its_inside_and_its_rim(tmp_path):
     """Closed form: the areas of floor, four walls and rim; nothing faces outwards."""
     walls = dataset_walls(dataset(tmp_path, BinSection(inner_m=INNER_M, wall_m=WALL_M)), tmp_path)
     corner = unpacked(walls["vertices"])[unpacked(walls["faces"], "<u4")]
@@ -65,7 +65,7 @@ def test_the_walls_of_a_box_are_its_inside_and_its_rim(tmp_path):
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
-def test_walls_grow_as_the_bin_of_a_domain_does(crate, tmp_path, factor):
+def test_walls_are_scaled_like_the_bin_of_a_randomised_scene(crate, tmp_path, factor):
     """Oracle: the bin that a domain makes of the same size factor."""
     values = {
         "size_factor": factor,
@@ -80,7 +80,7 @@ def test_walls_grow_as_the_bin_of_a_domain_does(crate, tmp_path, factor):
         np.testing.assert_allclose(vertices, 1e3 * expected, atol=1e-3)
 
 
-def test_a_mesh_bin_is_drawn_from_its_file_and_says_if_it_is_missing(crate, tmp_path):
+def test_a_mesh_bin_is_drawn_from_its_file_and_a_missing_file_is_reported(crate, tmp_path):
     stored = dataset(tmp_path, crate)
     walls = dataset_walls(stored, tmp_path)
     expected = bin_mesh(resolve_bin(crate, tmp_path)[0]).vertices_m
@@ -96,7 +96,7 @@ def test_real_pictures_have_no_bin(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_3d_view_draws_the_bin_where_it_is(browser, rig, tmp_path):
+def test_the_3d_view_draws_the_bin_at_its_true_position(browser, rig, tmp_path):
     """Law: seen from above, floor and rim are coloured, and the table around them is not."""
     write_dataset(tmp_path / "bins", scene_ids=(0,), rig=rig)
     path = tmp_path / "bins/graycast.json"

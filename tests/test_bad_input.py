@@ -386,7 +386,7 @@ def test_a_dataset_of_another_configuration_stays_unchanged(
     assert everything(out) == before
 
 
-def test_a_dataset_that_another_run_writes_stays_unchanged(capsys, dataset):
+def test_a_dataset_that_another_run_is_writing_stays_unchanged(capsys, dataset):
     path, out = dataset
     before = everything(out)
     with open(out / ".lock", "a") as lock:

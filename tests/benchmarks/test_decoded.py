@@ -31,7 +31,7 @@ def result(column, depth_m, valid):
     return SimpleNamespace(codes=codes, depth=depth)
 
 
-def test_each_kind_of_error_is_counted_in_shares_of_the_reference():
+def test_each_kind_of_error_is_counted_as_a_share_of_the_reference():
     """80 of 100 pixels have depth: 4 are wrong by two columns and 10 mm, 8 are lost, 5 are extra.
     All others have an error of one column and 3 mm, which does not count as wrong.
     """
@@ -54,7 +54,7 @@ def test_each_kind_of_error_is_counted_in_shares_of_the_reference():
     assert error["depth_rmse_mm"] == pytest.approx(np.sqrt((68 * 9 + 4 * 100) / 72), rel=1e-4)
 
 
-def test_a_result_has_no_error_against_itself():
+def test_a_result_compared_with_itself_has_no_error():
     same = result(np.full((4, 4), 3.0), np.full((4, 4), 0.5), np.ones((4, 4), dtype=bool))
     assert not any(decoding_error(same, same).values())
 

@@ -227,7 +227,7 @@ def test_validate_names_the_wrong_image(copy, fault):
 
 
 @pytest.mark.slow
-def test_the_rig_of_the_dataset_is_that_of_the_first_scanner(copy):
+def test_the_dataset_stores_the_rig_of_the_first_scanner(copy):
     path = copy / "graycast.json"
     claim = json.loads(path.read_text())
     claim["rig"]["far_m"] *= 2

@@ -22,7 +22,7 @@ def dataset_and_samples(tmp_path_factory):
     return out, write_dataset(out, (0, 3))
 
 
-def test_instances_labels_and_label_map_are_those_of_the_sample(dataset_and_samples):
+def test_stored_instances_labels_and_label_map_equal_those_of_the_sample(dataset_and_samples):
     out, samples = dataset_and_samples
     for scene in open_dataset(out).scenes:
         sample, content = samples[scene.scene_id], scene_content(scene)

@@ -126,7 +126,7 @@ def test_statistics_files_and_table_are_written(dataset_and_samples, statistics,
     assert statistics_table(statistics).row_count > 8
 
 
-def test_statistics_of_real_pictures_omit_what_is_unknown(dataset_and_samples, tmp_path):
+def test_statistics_of_real_pictures_omit_unknown_figures(dataset_and_samples, tmp_path):
     out = tmp_path / "real"
     shutil.copytree(dataset_and_samples[0], out)
     whole = dataset_statistics(out)

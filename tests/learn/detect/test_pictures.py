@@ -136,7 +136,7 @@ def test_depth_is_shifted_by_at_most_the_stated_value_and_holes_stay_holes(tmp_p
     assert 0.18 < shift.max() < 0.201
 
 
-def test_the_learnt_range_ignores_spikes_and_adds_a_twentieth_at_both_ends(tmp_path):
+def test_the_learnt_depth_range_ignores_spikes_and_adds_a_twentieth_at_each_end(tmp_path):
     """Depth from 0.612 to 0.955 m gets 17 mm more at both ends, in whole centimetres."""
     depth_m = np.linspace(0.612, 0.955, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
     depth_m[40, :5], depth_m[50, :5], depth_m[60] = 0.1, 5.0, np.nan

@@ -349,7 +349,7 @@ def test_projector_corners_are_interpolated_between_the_steps_of_the_code(
         assert np.abs(corner_px - true).max() < allowed_px
 
 
-def test_a_corner_without_code_around_it_has_no_projector_position(camera_rays, truth_poses):
+def test_a_corner_without_decoded_pixels_nearby_has_no_projector_position(camera_rays, truth_poses):
     T = truth_poses[0]
     code = code_of(camera_rays, T).astype(np.float32)
     corners = true_corners(T)

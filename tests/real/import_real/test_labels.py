@@ -191,7 +191,7 @@ def test_boxes_without_masks_are_refused(tmp_path):
     assert "annotation 1 of 000001.png: has no polygon and no mask, and its box alone" in text
 
 
-def test_an_import_never_continues_an_existing_one(tmp_path):
+def test_an_import_into_a_folder_with_an_import_is_refused(tmp_path):
     """So the pictures need not be compared with the existing ones."""
     folder = write_coco(tmp_path / "photos", coco())
     imported(folder)

@@ -141,7 +141,7 @@ def test_a_polished_metal_without_its_highlight_is_refused(cpu_device):
         fit_material(light, scale=SCALE, seed=0)
 
 
-def test_a_flat_profile_keeps_the_best_color_and_stays_inside_its_limits(monkeypatch):
+def test_a_flat_likelihood_profile_keeps_the_best_color_inside_its_limits(monkeypatch):
     """The plot showed the light of another colour, at a quarter of the measured light."""
 
     def curve(roughness, color, score):

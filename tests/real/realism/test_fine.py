@@ -44,7 +44,7 @@ def test_the_median_of_a_tile_agrees_with_simulated_noise():
     assert median_over_mean() == pytest.approx(np.median(power) / power.mean(), rel=0.01)
 
 
-def test_noise_of_a_ball_is_measured_where_no_plane_can_be_fitted():
+def test_the_noise_of_a_ball_is_measured_without_fitting_planes():
     rng = np.random.default_rng(3)
     depth_m = sphere()
     depth_m = depth_m + SIGMA_M * rng.standard_normal(depth_m.shape)
@@ -70,7 +70,7 @@ def test_fine_noise_is_grouped_by_the_brightness_of_its_pixels():
 
 
 @pytest.mark.slow
-def test_steep_planes_are_compared_with_facing_ones():
+def test_the_noise_of_steep_planes_is_compared_with_facing_planes():
     rng = np.random.default_rng(7)
     facing = scan(plane() + 1e-4 * rng.standard_normal((240, 320)))
     steep = plane(np.radians(45))

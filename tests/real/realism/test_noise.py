@@ -39,7 +39,7 @@ def test_white_noise_on_a_plane_is_measured_with_its_sigma():
     assert abs(variance - 1) < 4 * standard_error
 
 
-def test_the_scatter_of_patches_is_that_of_chi_square():
+def test_the_scatter_between_patches_follows_a_chi_square_distribution():
     sigma_m = measure_noise(scan(noisy_plane(np.random.default_rng(2)))).sigma_m
     expected = SIGMA_M / np.sqrt(2 * FREEDOM)
     assert sigma_m.std() == pytest.approx(expected, rel=4 / np.sqrt(2 * len(sigma_m)))
@@ -75,7 +75,7 @@ def test_correlated_noise_keeps_its_sigma_and_its_patches(side):
 
 
 @pytest.mark.slow
-def test_a_sphere_gives_no_patch_and_a_plane_next_to_it_gives_all():
+def test_flat_patches_are_taken_from_a_plane_and_not_from_a_sphere():
     """A patch is curved by 15^2 px^2 z^2 / (8 f^2 R), here 0.7 mm, 3.5 sigma."""
     rng = np.random.default_rng(8)
     ray, radius_m, middle = rays(), 0.06, np.array([0.0, 0.0, 0.56])

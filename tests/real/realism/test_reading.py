@@ -52,7 +52,7 @@ def one(path, **options):
     return scan
 
 
-def test_npy_and_png_hold_the_same_map(tmp_path, depth_m):
+def test_npy_and_png_files_give_the_same_map(tmp_path, depth_m):
     np.save(tmp_path / "a.npy", depth_m)
     steps = np.nan_to_num(depth_m / SCALE_M).round().astype(np.uint16)
     cv2.imwrite(str(tmp_path / "a.png"), steps)
@@ -61,7 +61,7 @@ def test_npy_and_png_hold_the_same_map(tmp_path, depth_m):
     np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-12)
 
 
-def test_the_largest_number_means_unknown_depth_in_files_and_scene_folders(tmp_path, depth_m):
+def test_the_largest_number_in_depth_files_means_unknown_depth(tmp_path, depth_m):
     steps = np.nan_to_num(depth_m / SCALE_M).round().astype(np.uint16)
     steps[steps == 0] = 65535
     scene = tmp_path / "000000"
@@ -212,7 +212,7 @@ def test_missing_options_are_named(tmp_path, depth_m):
         list(read_scans([tmp_path / "a.npy"] * 2, options=options, gray=[tmp_path / "g.png"]))
 
 
-def test_an_unorganised_ply_is_refused_with_what_is_missing(tmp_path, depth_m):
+def test_an_unorganised_ply_is_refused_and_the_missing_data_are_named(tmp_path, depth_m):
     path = tmp_path / "a.ply"
     path.write_bytes(ply(depth_m, "ascii", info=""))
     assert "obj_info num_cols" in refusal(path)

@@ -119,7 +119,7 @@ def test_flying_pixels_at_the_rim_of_a_shadow_are_counted_too():
     assert count_steps(scan(depth_m)).flying == len(rows)
 
 
-def test_a_jump_with_a_flying_pixel_in_it_counts_once():
+def test_a_jump_that_contains_a_flying_pixel_counts_once():
     depth_m = plates((-0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     before = count_steps(scan(depth_m.copy()))
     y, x = np.nonzero(depth_m == 0.8)

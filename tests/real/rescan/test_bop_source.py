@@ -155,7 +155,7 @@ def test_distortion_is_read_if_a_file_states_it(tmp_path):
     assert opened(split).read(0, 0).camera.distortion == (0.1, 0.0, 0.0, 0.001, 0.0)
 
 
-def test_one_of_several_sensors_is_selected_by_name(tmp_path):
+def test_a_sensor_is_selected_by_name(tmp_path):
     scene = tmp_path / "val/000003"
     write_scene(scene, "photoneo")
     write_scene(scene, "cam1")
@@ -216,7 +216,7 @@ def test_objects_behind_the_camera_and_outside_the_image_are_kept(tmp_path):
     refusal(split, "scene_gt_info.json", "1 instances", "2")
 
 
-def test_rounded_rotations_are_corrected_and_others_are_refused(tmp_path):
+def test_rounded_rotations_are_corrected_and_invalid_rotations_are_refused(tmp_path):
     split = write_dataset(tmp_path)
     rounded = np.round(POSE[:3, :3], 3).ravel().tolist()
     change(split / "000000/scene_gt.json", cam_R_m2c=rounded)

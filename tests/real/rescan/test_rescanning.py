@@ -94,7 +94,7 @@ def test_a_rescan_measures_the_depth_of_the_original(dataset):
     assert np.nanmedian(np.abs(depth_m - true_depth_m())) < 5e-3
 
 
-def test_shares_of_the_parts_pixels_agree_with_the_masks(dataset):
+def test_shares_of_the_pixels_on_parts_agree_with_the_masks(dataset):
     """Oracle: a count in the written pictures."""
     root, _, summary = dataset
     own_pixels = []
@@ -169,7 +169,7 @@ def test_a_rescan_has_the_layout_of_the_original_and_links_to_its_files(dataset)
     assert coco.annToRLE(coco.loadAnns([2])[0]) == own
 
 
-def test_the_reader_for_training_reads_both_depths(dataset):
+def test_the_reader_for_training_reads_true_and_rescanned_depth(dataset):
     root, _, _ = dataset
     examples = open_foreign(root / "out/train_pbr")
     assert len(examples.scene_of) == 3 and dict(examples.categories) == {1: "nut"}
@@ -518,7 +518,7 @@ def test_a_rescan_of_ray_lengths_stores_z(tmp_path):
 
 
 @pytest.mark.slow
-def test_depth_files_with_four_digits_are_rescanned_and_read(tmp_path):
+def test_depth_files_with_four_digit_names_are_rescanned_and_read(tmp_path):
     split = write_dataset(tmp_path / "lm")
     folder = split / "000000/depth"
     (folder / "000000.png").rename(folder / "0000.png")

@@ -158,7 +158,7 @@ def test_shadows_equal_those_of_the_whole_scene():
     assert (true & of_stage).sum() / (true | of_stage).sum() > 0.93
 
 
-def test_an_unknown_object_in_front_of_a_known_one_hides_it():
+def test_an_unknown_object_hides_a_known_object_behind():
     """A rod without a model is in front of the cube in the depth."""
     depth_m = np.fmin(without_cube(), cube_m())
     rod = np.zeros(depth_m.shape, dtype=bool)

@@ -78,6 +78,6 @@ def test_finer_codes_are_tried_for_phase_codes_only():
     assert candidate_codes(plain) == (plain,)
 
 
-def test_the_parameters_of_one_laser_scanner_are_within_their_ranges():
+def test_the_parameters_of_a_laser_scanner_are_within_their_ranges():
     for parameter in PARAMETERS:
         assert parameter.low <= parameter.laser <= parameter.high

@@ -83,7 +83,7 @@ def test_the_same_seed_gives_the_same_search(stage):
 
 
 @pytest.mark.slow
-def test_two_unknown_parameters_are_found(stage):
+def test_the_search_finds_two_unknown_parameters(stage):
     """The first steps end in another valley, at a misfit of 0.57 and a read noise of 3."""
     real = hidden(stage, **{"sensor.read_noise_e": 30.0, "filters.smoothing_px": 0.5})
     result = result_of(stage, real, trials=300)
@@ -189,7 +189,7 @@ def test_the_search_converges_from_a_start_that_is_sixty_spreads_off(stage, monk
     assert shares_of(result.scanner, FITTED) == pytest.approx([0.8, 0.6], abs=0.01)
 
 
-def test_a_code_with_a_good_fit_far_from_the_configured_scanner_is_found(stage, monkeypatch):
+def test_the_search_finds_a_code_that_fits_well_far_from_the_configured_scanner(stage, monkeypatch):
     """At the first trials, that code is nowhere better than the configured one."""
     coarse = stage[0].code
     fine = replace(coarse, period_px=12.0)

@@ -185,7 +185,7 @@ def test_a_jaw_grip_s_score_is_the_probability_of_sufficient_friction():
 
 
 @pytest.mark.slow
-def test_a_jaw_grip_s_score_includes_the_probability_that_both_pads_meet_the_part():
+def test_a_jaw_grip_s_score_includes_the_probability_that_two_pads_touch_the_part():
     """Oracle: two normal laws. A pad's middle must stay on the face, and the part between the open
     pads, with 2 mm of room on each side."""
     doubt = Doubt(position_m=1e-3, angle_rad=0.0, friction_share=0.0, center_m=0.0)
@@ -334,7 +334,7 @@ def test_objects_beyond_an_open_pad_are_not_between_the_pads():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["suction", "jaws"])
-def test_candidates_include_grips_that_hold_and_grips_that_do_not(kind):
+def test_candidates_include_successful_and_unsuccessful_grips(kind):
     known = {"weight_n": 0.5, "center_m": np.zeros(3), "doubt": DOUBT, "count": 24}
     if kind == "suction":
         places = suction_places(box(), CUP, **known)

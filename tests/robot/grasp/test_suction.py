@@ -38,7 +38,7 @@ def plate(hole_at=None, hole_m=0.003):
     return body
 
 
-def test_a_plate_is_sealed_without_strain():
+def test_a_cup_seals_on_a_flat_plate_without_strain():
     lies = seal(CUP, under(plate(), at()))
     assert lies.holds
     assert lies.strain == pytest.approx(0, abs=1e-12)

@@ -156,7 +156,7 @@ def test_a_grip_on_a_covered_part_is_labelled_as_a_failure(robots, stroke_m, end
 
 
 @pytest.mark.slow
-def test_an_unknown_weight_on_the_part_makes_the_cup_lose_it(robots):
+def test_an_unknown_weight_on_a_part_makes_the_cup_lose_the_part(robots):
     """At 25 mm from the centre, 0.18 Nm load a cup that holds 0.26 Nm; a second plate adds 0.5."""
     world = world_of(SUCTION.model_copy(update={"cup": Cup(radius_m=0.015, height_m=0.015)}))
     beside = on_top(-0.025)

@@ -75,7 +75,7 @@ def test_the_highest_or_isolated_detection_is_not_covered():
     assert covered_share(high.mask, view.depth_m) == 0
 
 
-def test_free_detections_come_before_higher_covered_ones():
+def test_free_detections_are_tried_before_higher_covered_detections():
     strip = np.zeros((60, 80), bool)
     strip[18:21, 0:30] = True
     view, (covered, free, top) = scene((square(5, 20), 0.90), (square(50, 20), 0.95), (strip, 0.85))

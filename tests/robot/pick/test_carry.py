@@ -33,7 +33,7 @@ HERE = np.zeros(3)
 NEAR, FAR = np.array([0.9 * FREED_M, 0.0, 0.0]), np.array([0.0, 1.1 * FREED_M, 0.0])
 
 
-def test_a_failed_place_is_remembered_until_a_part_near_it_is_removed():
+def test_a_failed_place_is_remembered_until_a_nearby_part_is_removed():
     failed = EMPTY.gripped(NEAR, taken=False).gripped(FAR, taken=False)
     assert failed.tabu == (NEAR, FAR)
     assert failed.gripped(HERE, taken=True).tabu == (FAR,)

@@ -131,7 +131,7 @@ def places(sought):
     return [round(float(tip[0, 3]), 6) for tip, *_ in sought]
 
 
-def test_a_grip_near_an_unreachable_one_is_tried_after_all_others(reaching):
+def test_a_grip_near_an_unreachable_grip_is_tried_last(reaching):
     result, sought = reaching(BESIDE, ELSEWHERE)
     assert isinstance(result, Choice) and places(sought) == [0.0, 0.08]
     np.testing.assert_allclose(result.aim.place_m, ELSEWHERE, atol=1e-9)
@@ -139,7 +139,7 @@ def test_a_grip_near_an_unreachable_one_is_tried_after_all_others(reaching):
     assert isinstance(result, Choice) and places(sought) == [0.0, 0.08, 0.02]
 
 
-def test_the_next_scan_starts_with_other_grips(reaching):
+def test_the_next_scan_starts_with_grips_that_were_not_tried(reaching):
     result, sought = reaching()
     assert result.outcome is Outcome.UNREACHABLE and places(sought) == [0.0, 0.08, 0.02]
     assert [round(float(place[0]), 6) for place in result.places_m] == places(sought)
@@ -165,7 +165,7 @@ def test_no_grip_is_tried_near_a_failed_grip(reaching):
         (-0.006, Outcome.NOTHING_FOUND, "the part is not at the place of the cup"),
     ],
 )
-def test_no_path_is_planned_where_another_surface_is_measured(reaching, higher_m, outcome, words):
+def test_no_path_is_planned_if_depth_shows_another_surface(reaching, higher_m, outcome, words):
     """Next to the centres of all three cups; a difference of 2 mm is allowed."""
     aside = [(np.array([x, 0, TOP_M]), 0.007) for x in (0.01, 0.07)]
     result, sought = reaching(view=scan(*((place, higher_m) for place in aside)))

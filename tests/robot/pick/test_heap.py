@@ -66,7 +66,7 @@ def at(heap, x, y):
     return heap.height_m[round(y / CELL_M + (rows - 1) / 2), round(x / CELL_M + (columns - 1) / 2)]
 
 
-def test_heights_are_in_the_world_frame(heap):
+def test_heights_of_the_heap_are_in_the_world_frame(heap):
     assert at(heap, 0.045, 0.03) == pytest.approx(0.04, abs=1e-3)
     for x, y in ((-0.045, 0.03), (0.045, -0.03), (-0.045, -0.03), (0.09, 0.03)):
         assert at(heap, x, y) == pytest.approx(0.0, abs=1e-3)
@@ -116,7 +116,7 @@ def test_a_bin_without_depth_counts_as_full():
     assert (heap_of(nothing).height_m == BOX.inner_m[2]).all()
 
 
-def test_a_part_is_removed_from_the_heap_for_the_fingers_that_grip_it(heap, depth):
+def test_a_gripped_part_is_removed_from_the_heap_of_the_planner(heap, depth):
     top = depth < np.nanmin(depth) + 0.012
     without = heap_of(depth, without=top)
     assert at(without, 0.045, 0.03) < 0.02 < at(heap, 0.045, 0.03)

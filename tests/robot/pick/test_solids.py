@@ -26,7 +26,7 @@ def solid(mesh):
         (coal.Box(0.1, 0.2, 0.3), 0.1 * 0.2 * 0.3),
     ],
 )
-def test_a_shape_has_its_volume_and_its_centre(shape, volume):
+def test_a_shape_has_the_right_volume_and_centre(shape, volume):
     """Oracle: closed forms; a circle of n corners has n / 2 pi sin(2 pi / n) of its area."""
     mesh = solid(shape_mesh(shape))
     corners = ROUND / (2 * np.pi) * np.sin(2 * np.pi / ROUND)

@@ -89,7 +89,7 @@ def test_a_neighbour_collides_with_the_tube(plate):
     assert isinstance(down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), away]), PartGrip)
 
 
-def test_jaws_close_on_a_bar_and_centre_it(robots):
+def test_jaws_that_close_on_a_bar_centre_the_bar(robots):
     bar = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
     kind = ContactPart.of(bar, make_bodies([bar])[0])
     met = down_on(kind, at(0.003, 0, 0), [at(0, 0, 0)], JAWS)
@@ -114,7 +114,7 @@ def flanged(robots, tmp_path_factory):
     return ContactPart.of(part, make_bodies([part], hull_folder=folder)[0])
 
 
-def test_a_finger_that_meets_a_flange_before_its_pad_meets_the_hub_holds_nothing(flanged):
+def test_a_grip_is_lost_if_a_finger_meets_a_flange_before_its_pad_meets_the_hub(flanged):
     """The tips are 1 mm deep in the flange, less than a tool may push aside."""
     for z, outcome in ((0.017, PartGrip), (0.015, NoGrip)):
         met = touch(

@@ -149,7 +149,7 @@ def test_a_collision_with_an_object_next_to_the_grip_is_predicted(arm, here):
 
 
 @pytest.mark.slow
-def test_a_shelf_above_stops_the_lift_of_a_part(arm, here):
+def test_a_shelf_above_a_part_stops_the_lift(arm, here):
     """The free arm and the tip would pass below it; the part would not."""
     T = inverse(here.T_base_world) @ rigid(np.eye(3), GRIP[:3, 3] + [0, 0, 0.45])
     shelf = Obstacle(name="the heap", shape=coal.Box(0.5, 0.5, 0.02), T_base_shape=T)

@@ -115,7 +115,7 @@ def test_votes_for_similar_poses_are_added_and_the_best_pose_is_kept(block):
     np.testing.assert_array_equal(poses, [SOMEWHERE, other])
 
 
-def test_rotations_about_an_axis_of_symmetry_are_one_cluster(block):
+def test_rotations_about_an_axis_of_symmetry_form_one_cluster(block):
     _, model, _ = block
     middle = np.array([0.005, -0.01, 0.02])
     turned = [about(SOMEWHERE, middle, "z", angle) for angle in (0.0, 1.0, 2.5)]

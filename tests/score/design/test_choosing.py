@@ -91,7 +91,7 @@ def test_intervals_contain_the_true_mean_19_times_in_20():
     assert math.isnan(mean_interval(np.array([0.3])).low)
 
 
-def test_settings_are_compared_heap_by_heap():
+def test_differences_between_settings_are_computed_for_each_heap():
     """Heaps differ by far more than the settings do; the difference is the same in each."""
     heaps = np.array([0.2, 0.4, 0.6, 0.8])
     best, other = row("best", heaps + 0.01), row("other", heaps)

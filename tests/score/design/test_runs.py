@@ -58,7 +58,7 @@ def test_a_study_writes_tables_plots_and_a_sentence(study, capsys):
         assert row["measured_low"] < row["measured"] < row["measured_high"]
 
 
-def test_all_settings_are_judged_at_the_same_points_of_the_same_heaps(study):
+def test_all_settings_are_scored_at_the_same_points_of_the_same_heaps(study):
     _, out = study
     for heap in ("000.json", "001.json"):
         points = {

@@ -119,7 +119,7 @@ def test_points_are_weighted_by_their_area_from_above():
     assert top == pytest.approx((1 + 6 * np.cos(np.pi / 12) + 12 * np.cos(np.pi / 6)) / 19)
 
 
-def test_occlusion_by_a_part_by_the_bin_and_by_its_own_back_differ():
+def test_occlusion_by_a_part_a_bin_and_the_own_back_side_is_distinguished():
     """A block above the plate throws a shadow of its own size, enlarged by H / (H - h)."""
     height_m, lift_m = 0.9, 0.09
     rig = make_rig(centred(600, 500, 500), centred(900, 700, 500), baseline_m=(0.2, 0, 0))

@@ -14,7 +14,7 @@ def test_the_area_is_the_share_of_pairs_in_order():
     assert roc_auc(score, success) == pytest.approx((2 + 1.5 + 1) / 6)
 
 
-def test_the_area_is_mann_and_whitney_s_u():
+def test_the_area_equals_the_u_statistic_of_mann_and_whitney():
     """Oracle: the Mann-Whitney U test of SciPy."""
     rng = np.random.default_rng(5)
     success = rng.random(300) < 0.3

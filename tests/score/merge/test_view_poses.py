@@ -41,7 +41,7 @@ def doubts(views, **changed):
 
 
 @pytest.mark.slow
-def test_correct_poses_give_no_warning(views):
+def test_correct_view_poses_cause_no_warning(views):
     assert fuse(views).doubts == ()
     assert doubts(views[:2]) == ()
     assert doubts(views[:1]) == ()

@@ -37,7 +37,7 @@ def test_the_common_rectangle_of_parallel_devices_is_the_overlap_of_their_views(
 
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.slow
-def test_all_artefacts_of_a_preset_lie_in_both_fields(name):
+def test_all_artefacts_of_a_preset_are_in_the_fields_of_camera_and_projector(name):
     rig = preset_rig(name)
     volume = working_volume(rig)
     radius_m = 0.03 * volume.diagonal_m

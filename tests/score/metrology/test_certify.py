@@ -129,7 +129,7 @@ def test_progress_counts_every_scene(mitsuba_renderer):
 
 
 @pytest.mark.slow
-def test_a_scanner_without_noise_certifies_nearly_nothing(mitsuba_renderer):
+def test_a_scanner_without_noise_has_nearly_zero_errors_in_its_certificate(mitsuba_renderer):
     """Only the projector's pixels limit it: each of n paths of a camera pixel sees one column,
     evenly up to half a column off, so their mean is off by 1 / sqrt(12 n) columns. Without filters
     that is the deviation of every point; a sphere's slope adds to it.

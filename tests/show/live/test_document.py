@@ -72,7 +72,7 @@ def test_ambient_light_is_a_factor_of_all_lamps_and_the_environment(path):
     assert [one["radiance"] for one in light["lamps"]] == [[30.0, 60.0, 90.0]] * 2
 
 
-def test_an_unchanged_configuration_is_written_as_it_was(path):
+def test_an_unchanged_configuration_is_saved_without_changes(path):
     assert files_of(document(), path, rig_name="rig.yaml") == (WORDS, None)
 
 

@@ -65,7 +65,7 @@ def test_packed_differences_of_both_signs_are_unpacked():
     assert folded[0, 2:].tolist() == [6, 19, 0]
 
 
-def test_a_second_build_writes_nothing(dataset, tmp_path):
+def test_a_second_build_writes_no_file(dataset, tmp_path):
     first = write_report(dataset, tmp_path / "page")
     before = content(tmp_path / "page")
     again = write_report(dataset, tmp_path / "page")

@@ -190,7 +190,7 @@ def test_a_false_alarm_is_drawn_at_its_position(page, run_report):
     assert page.locator("#found > *").count() > 0
 
 
-def test_a_scene_outside_the_run_is_marked_as_such(page, run_report):
+def test_a_scene_outside_the_run_is_marked_as_outside(page, run_report):
     opened(page, run_report, 4)
     assert "was not run on this scene" in page.locator("#found-list").inner_text()
     assert page.locator("#toggle-found").count() == 0

@@ -114,7 +114,7 @@ def test_points_beyond_the_fold_of_the_lens_have_no_projector_position(page, rep
     assert not result[ended].any() and result[inside].all()
 
 
-def test_a_lens_without_an_inverse_is_reported_where_its_rays_are_needed(page, report):
+def test_a_lens_without_an_inverse_is_reported_if_its_rays_are_needed(page, report):
     opened(page, report, 0)
     page.evaluate(
         """() => {

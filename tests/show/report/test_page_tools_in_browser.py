@@ -378,7 +378,7 @@ def test_depth_steps_do_not_change_the_normal_of_a_plane(page, report):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_toolbars_have_one_row_and_nothing_overlaps(page, report_with_frames, size):
+def test_toolbars_have_one_row_and_no_elements_overlap(page, report_with_frames, size):
     """A wrapped row is higher than its highest control; controls do not overlap."""
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.goto(report_with_frames[2].as_uri())

@@ -241,7 +241,7 @@ def test_a_wrong_option_is_reported_in_one_line(picks, tmp_path, capfd, words, m
     assert message in output and len(output.splitlines()) == 1, output
 
 
-def test_mixed_cells_need_the_kind_of_each_part(replay, picks):
+def test_the_kind_of_each_part_is_required_in_a_mixed_cell(replay, picks):
     episode = replace(read_episodes(picks)[0], kinds=())
     assert replay.kinds(episode) == (0, 0)  # there is only one kind
     scene = replay.cell.cell.scene

@@ -333,7 +333,7 @@ def test_reasons_are_listed_with_their_shares(tiles):
 
 
 @pytest.mark.slow
-def test_boxes_are_drawn_on_their_instance(tiles):
+def test_each_box_is_drawn_around_its_instance(tiles):
     """Oracle: similar triangles; a 0.1 m cube whose front is the wall is 20 px wide there."""
     _, by_title = tiles(make_shot())
     flat = by_title["boxes of the visible masks"].patches[0]
@@ -360,7 +360,7 @@ def test_masks_tint_only_their_own_pixels(tiles):
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.21, 0.08, 0.003, -0.002, 0.01)])
-def test_box_edges_are_where_opencv_projects_them(distortion):
+def test_box_edges_agree_with_the_projection_of_opencv(distortion):
     """Oracle: cv2.projectPoints of points on the straight edges, distortion included."""
     rng = np.random.default_rng(3)
     optics = replace(rig().camera, fx_px=900.0, fy_px=870.0, distortion=distortion)

@@ -118,11 +118,11 @@ def test_a_changed_distractor_changes_the_claim(dataset):
         store(dataset, (BOX,))
 
 
-def test_a_dataset_without_distractors_keeps_its_earlier_claim(tmp_path):
+def test_a_claim_without_distractors_has_no_key_for_them(tmp_path):
     with store(tmp_path / "out", (BOX, WEDGE)):
         assert "distractors" not in json.loads((tmp_path / "out" / "graycast.json").read_text())
 
 
-def test_labelled_parts_are_listed_before_distractors():
+def test_labelled_parts_after_distractors_are_refused():
     with pytest.raises(ValueError, match="parts without a label must come last"):
         Scene(rig=make_rig(), T_world_cam=np.eye(4), parts=(FOREIGN, BOX))

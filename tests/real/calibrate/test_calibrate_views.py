@@ -140,7 +140,7 @@ def test_a_mirrored_code_is_reported_in_the_same_words_as_in_decode():
         _observe_one(replace(view, column=view.row, row=view.column), board, (512, 384))
 
 
-def test_numbers_that_are_not_finite_give_one_clear_error(observed):
+def test_corners_that_are_not_finite_are_refused_with_one_clear_error(observed):
     corners = observed.corners
     nothing = replace(corners, per_camera_px=np.full_like(corners.per_camera_px, np.nan))
     with pytest.raises(CalibrationError, match="no camera and projector fit these views"):
@@ -177,5 +177,5 @@ def test_an_impossible_result_is_named(optics, rms_px, says):
         device(distortion=(-0.4, 0.2, 0.001, 0.001, 0.0)),
     ],
 )
-def test_existing_devices_are_not_refused(optics):
+def test_plausible_values_of_real_devices_are_accepted(optics):
     assert list(_impossible(optics, 0.3)) == []

@@ -107,7 +107,7 @@ LEANING = {"tilt_deg": 30.0, "azimuth_deg": -35.0, "roll_deg": 0.0}
     ("seed", "view_words"),
     [(0, {}), (1, LEANING), (2, HANGING)],
 )
-def test_the_pose_is_found_without_a_hint_despite_noise_objects_and_a_lost_wall(seed, view_words):
+def test_the_pose_is_found_without_a_hint_despite_noise_and_a_missing_wall(seed, view_words):
     T = pose(**view_words)
     box = open_box(BOX.inner_m, BOX.wall_m)
     azimuth = np.arctan2(T[1, 0], T[0, 0])
@@ -117,7 +117,7 @@ def test_the_pose_is_found_without_a_hint_despite_noise_objects_and_a_lost_wall(
     assert off_deg < 0.1
 
 
-def test_a_close_initial_pose_converges_despite_noise_objects_and_a_lost_wall():
+def test_a_close_initial_pose_converges_despite_noise_objects_and_a_missing_wall():
     """It starts 25 mm and 4 degrees away; 0.4 mm of noise in thousands of pixels is 0.05 mm."""
     T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
     away = rigid(axis_rotation("z", np.radians(4.0)), np.array([0.02, -0.015, 0.004])) @ T

@@ -46,7 +46,7 @@ def scene(**words):
     )
 
 
-def test_the_floor_also_has_a_grey_in_the_projector_s_light():
+def test_the_floor_has_its_own_reflectance_in_projector_light():
     gray = at_projector_wavelength(scene(material=WALLS, floor=FLOOR))
     assert gray.bin.floor.base_color == (0.2, 0.2, 0.2)
     assert gray.bin.material.base_color == (0.5, 0.5, 0.5)

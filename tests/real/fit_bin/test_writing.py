@@ -52,7 +52,7 @@ def test_fitted_sections_replace_only_the_same_sections(tmp_path):
     assert "# from a fit\n# of two lines\nview:" in text
 
 
-def test_a_configuration_in_braces_is_rewritten_in_separate_lines(tmp_path):
+def test_a_configuration_in_braces_is_rewritten_on_separate_lines(tmp_path):
     base = "{parts: [{builtin: toothpaste}], count: 4}"
     text = fitted_text(base, tmp_path / "c.yaml", {"view": VIEW}, {})
     assert yaml.safe_load(text) == yaml.safe_load(base) | {"view": VIEW}
@@ -63,7 +63,7 @@ def test_an_invalid_result_is_not_written(tmp_path):
         fitted_text(BASE, tmp_path / "c.yaml", {"view": {"T_world_cam": [1.0, 2.0]}}, {})
 
 
-def test_no_file_is_overwritten_and_paths_keep_their_meaning(tmp_path):
+def test_existing_files_and_folders_that_break_relative_paths_are_refused(tmp_path):
     base = tmp_path / "cell.yaml"
     base.write_text(BASE)
     refuse_existing(tmp_path / "new.yaml", base)
@@ -192,7 +192,7 @@ def test_a_surface_of_another_colour_keeps_its_grooves(tmp_path):
     assert (words["anisotropy"], words["grain"]) == (0.8, [1.0, 0.0, 0.0])
 
 
-def test_floor_and_table_have_their_own_look(tmp_path):
+def test_floor_and_table_can_have_different_materials(tmp_path):
     walls, floor, table = ({"base_color": [c, c, c], "specular": 0.0} for c in (0.1, 0.2, 0.3))
     scene = resolve_cell(cell(bin={"material": walls, "floor": floor}, table=table), tmp_path).scene
     assert scene.bin.material.base_color == (0.1, 0.1, 0.1)

@@ -52,7 +52,7 @@ def test_a_record_of_another_version_or_form_is_refused(tmp_path, record):
         read_record(path)
 
 
-def test_an_empty_set_is_refused():
+def test_an_empty_set_of_depth_maps_is_refused():
     with pytest.raises(GraycastError, match="give at least one"):
         pool([], name="nothing")
 

@@ -37,7 +37,7 @@ def test_stereo_with_filled_shadows_is_refused():
         refuse_without_shadow(filled)
 
 
-def test_scans_without_steps_are_not_judged():
+def test_scans_with_too_few_depth_steps_are_refused():
     with pytest.raises(
         GraycastError, match="depth steps per map, which are too few to identify the kind of"
     ):

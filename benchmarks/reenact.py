@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -160,8 +159,8 @@ def fitted(
     fits: dict[str, MaterialFit] = {}
     for name, mask in regions.items():
         show(f"the material {name} is fitted")
-        kind: Literal["metal"] | None = "metal" if metal and name != REST else None
-        fits[name] = fit_material(scan.observations(mask), scale=scale, kind=kind, seed=0)
+        known = metal and name != REST
+        fits[name] = fit_material(scan.observations(mask), scale=scale, metal=known, seed=0)
         scale = scale or fits[name].scale
     return fits
 

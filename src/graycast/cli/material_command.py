@@ -44,10 +44,9 @@ def add_material(group) -> None:
         metavar="SHARE",
     )  # fmt: skip
     add_option(
-        material, "--kind", ("metal", "plastic"),
-        "The kind of the surface, if it is known. The share of light that a metal scatters, as a "
-        "blasted or anodised one does, is fitted only with --kind metal.",
-        usual="the kind that explains the light better",
+        material, "--metal", None,
+        "The surface is known to be metal. The share of light that it scatters is fitted, too, as "
+        "of a blasted or anodised metal.",
     )  # fmt: skip
     add_out(material, "The YAML file to write, which must be new.")
     add_shared(material, "--seed", default=0)
@@ -87,7 +86,7 @@ def _material(options: argparse.Namespace) -> None:
         scale = scale_of(scan.observations(white), options.reflectance)
         mask = ~white if mask is None else mask
     observations = scan.observations(mask)
-    fit = fit_material(observations, scale=scale, kind=options.kind, seed=options.seed)
+    fit = fit_material(observations, scale=scale, metal=options.metal, seed=options.seed)
     mottle = None
     if scan.scanner.rig.speckle_contrast:
         print("note: mottle is not fitted, because the speckle of the laser looks like it")

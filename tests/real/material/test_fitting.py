@@ -98,7 +98,7 @@ def test_a_known_metal_gets_its_scattered_share(cpu_device, scale):
     """Oracle: the renderer's BSDF of a metal that scatters 40 % of its light."""
     true = Material(base_color=(0.8,) * 3, metallic=1.0, roughness=0.35, diffuse=0.4)
     pixels = lit(heap(2000, widest_rad=0.6, seed=3), true)
-    fit = fit_material(pixels, scale=scale, kind="metal", seed=0)
+    fit = fit_material(pixels, scale=scale, metal=True, seed=0)
     assert fit.roughness.value == pytest.approx(0.35, abs=0.02)
     assert fit.diffuse.low <= 0.4 <= fit.diffuse.high
     assert fit.diffuse.value == pytest.approx(0.4, abs=0.05)

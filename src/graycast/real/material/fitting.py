@@ -17,7 +17,6 @@ Leaves out: grooves, films, glass, and stripes reflected by mirrors, which count
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -69,7 +68,7 @@ class MaterialFit:
     `color` is the base colour at the projector's wavelength. `scale` is the light of a BSDF of 1
     per steradian; it is `known` from a reference, or fitted. `scatter` is the relative spread of
     the light of single pixels: grain, speckle and uneven normals. `lead` is the difference of log
-    likelihoods by which `kind` is preferred to the other kind; it is infinite for a stated kind.
+    likelihoods by which `kind` is preferred to the other kind; it is infinite for a known kind.
     `diffuse` is the share of the light that a metal scatters in all directions, if it was fitted.
     """
 
@@ -105,15 +104,15 @@ def fit_material(
     observations: Reflections,
     *,
     scale: float | None = None,
-    kind: Literal["metal", "plastic"] | None = None,
+    metal: bool = False,
     seed: int,
 ) -> MaterialFit:
     """Fit kind, base colour and roughness to the observations of one surface.
 
     Args:
         scale: see `MaterialFit.scale` and `scale_of`; None fits the scale as well.
-        kind: the kind of the surface, if it is known. The scattered share of a metal is fitted only
-            then, because without a known scale the light of plastic has the same shape.
+        metal: whether the surface is known to be metal. Only then is its scattered share fitted,
+            because without a known scale the light of plastic has the same shape.
         seed: seed for the choice of pixels.
 
     Raises:
@@ -126,25 +125,24 @@ def fit_material(
         )
     subset, windows = _choose(observations, np.random.default_rng(seed))
     weight = min(1.0, windows / len(subset))
-    if kind == "metal":
+    if metal:
         return _scattering(SurfaceModel(subset, None, weight), observations, scale)
     model = SurfaceModel(subset, scale, weight)
-    kinds = KINDS if kind is None else (kind,)
-    fits = {one: _search(model, one) for one in kinds}
-    best = {one: max(curves, key=lambda curve: curve.score) for one, curves in fits.items()}
-    own = max(kinds, key=lambda one: best[one].score)
-    curves, top = fits[own], best[own]
-    others = [best[one].score for one in kinds if one != own]
+    fits = {kind: _search(model, kind) for kind in KINDS}
+    best = {kind: max(curves, key=lambda one: one.score) for kind, curves in fits.items()}
+    kind = max(KINDS, key=lambda one: best[one].score)
+    other = next(one for one in KINDS if one != kind)
+    curves, top = fits[kind], best[kind]
     return MaterialFit(
-        kind=own,
-        color=_color_interval(model, own, curves),
+        kind=kind,
+        color=_color_interval(model, kind, curves),
         roughness=_interval([c.roughness for c in curves], [c.score for c in curves]),
         scale=top.scale,
         known=scale is not None,
         scatter=top.scatter,
-        lead=top.score - max(others, default=-math.inf),
+        lead=top.score - best[other].score,
         pixels=len(observations),
-        angles_rad=_seen_angles(observations, top),
+        angles_rad=_angle_range(observations, top),
     )
 
 
@@ -176,12 +174,12 @@ def _scattering(model: SurfaceModel, observations: Reflections, scale: float | N
         scatter=top.scatter,
         lead=math.inf,
         pixels=len(observations),
-        angles_rad=_seen_angles(observations, top),
+        angles_rad=_angle_range(observations, top),
         diffuse=_color_interval(model, "scattering metal", curves),
     )
 
 
-def _seen_angles(observations: Reflections, top: _Curve) -> tuple[float, float]:
+def _angle_range(observations: Reflections, top: _Curve) -> tuple[float, float]:
     """Return the 2nd and 98th percentile of the half angle, if they determine the best fit.
 
     Raises:

@@ -151,8 +151,8 @@ def _fitted(
         )
     value = _solved(blocks.sum(axis=0), pixel_m)
     picks = rng.integers(len(blocks), size=(DRAWS, len(blocks)))
-    drawn = np.array([_solved(blocks[pick].sum(axis=0), pixel_m) for pick in picks])
-    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
+    redone = np.array([_solved(blocks[pick].sum(axis=0), pixel_m) for pick in picks])
+    low, high = np.percentile(redone, [2.5, 97.5], axis=0)
     spread, length = (
         FittedValue(
             value=value[k], low=min(value[k], float(low[k])), high=max(value[k], float(high[k]))
@@ -165,9 +165,9 @@ def _fitted(
 def _solved(sums: Float[np.ndarray, " 6"], pixel_m: float) -> tuple[float, float]:
     """Return spread and length [m]."""
     variance = max(float(sums[0] / max(sums[1], 1.0)), 1e-12)
-    beside = float((sums[2] + sums[4]) / max(sums[3] + sums[5], 1.0))
+    neighbour = float((sums[2] + sums[4]) / max(sums[3] + sums[5], 1.0))
     own, next_to = _shared(0), _shared(1)
-    length_px = float(np.interp(beside / variance, next_to / own, LENGTHS))
+    length_px = float(np.interp(neighbour / variance, next_to / own, LENGTHS))
     spread = (variance / float(np.interp(length_px, LENGTHS, own**2))) ** 0.5
     return spread, length_px * pixel_m
 

@@ -17,10 +17,10 @@ from ...world.parts import Material
 from .observing import Reflections
 
 Kind: TypeAlias = Literal["metal", "plastic", "scattering metal"]
-# These kinds are compared. A scattering metal looks like plastic of another brightness, so that it
+# These kinds are compared. A scattering metal looks like plastic with a different brightness, so it
 # is fitted only to a surface that is known to be metal.
 KINDS: tuple[Kind, ...] = ("metal", "plastic")
-# A scattering metal has this base colour; another one multiplies its light by almost one factor.
+# A scattering metal has this base colour; a different colour multiplies its light by a factor.
 METAL_COLOR = 0.6
 FREEDOM = 4.0  # Degrees of freedom of Student's t distribution.
 COLORS = (0.0, 0.25, 0.6, 1.0)  # Nodes of base colour; the BSDF is a smooth function of it.

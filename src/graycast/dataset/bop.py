@@ -36,7 +36,7 @@ _NOTHING = [-1, -1, -1, -1]  # BOP gives this box to an invisible instance.
 
 
 def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
-    """Return the content of `camera.json`, with OpenCV's five coefficients if the lens has any."""
+    """Return the content of `camera.json`, with OpenCV's five coefficients if the lens distorts."""
     return {
         "cx": camera.cx_px,
         "cy": camera.cy_px,
@@ -106,7 +106,7 @@ class _SceneRecord:
         self.records.setdefault(name, {})[str(number)] = entry
 
     def of_manifest(self, sample: Sample) -> None:
-        """Store a sample's facts: the first sample's as the scene's, those of others in lists."""
+        """Store a sample's facts: the first sample's for the scene, all later ones in lists."""
         facts = {} if sample.raw is None else raw_facts(sample.raw)
         facts = {**sample.manifest, **facts}
         sensor = {"sensor": sample.sensor} if sample.sensor else {}
@@ -278,7 +278,7 @@ def _boxes_3d(sample: Sample) -> list[dict[str, Any]]:
 
 
 def _info(silhouettes: _Silhouettes, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
-    """Return an entry of `scene_gt_info.json`, with counts as in bop_toolkit's calc_gt_info."""
+    """Return an entry of `scene_gt_info.json`; it counts pixels as bop_toolkit's calc_gt_info."""
     inside, visible_px = silhouettes.inside, int(silhouettes.visible.mask.sum())
     h, w = inside.mask.shape
     window = depth[inside.top_px : inside.top_px + h, inside.left_px : inside.left_px + w]

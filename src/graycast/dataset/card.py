@@ -106,7 +106,7 @@ def stated_licence(dataset: Path) -> str | None:
 
 
 def counts_all_scenes(dataset: Path) -> bool:
-    """Return whether the card's number of scenes is that of the dataset; False without a card.
+    """Return whether the card and the dataset have equal numbers of scenes; False without a card.
 
     A README without a card's figures was written by its owner and is accepted (True).
     """
@@ -309,7 +309,7 @@ def _making(stored: StoredDataset) -> str:
 
 
 def scene_strip(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
-    """Return colour, white frame, scanner depth and reasons side by side; skip missing ones."""
+    """Return colour, white frame, scanner depth and reasons side by side; skip missing pictures."""
     tiles = [scene.rgb] if scene.rgb is not None else []
     if scene.gray is not None:
         tiles.append(np.repeat(srgb_of_bytes(scene.gray)[..., None], 3, axis=2))

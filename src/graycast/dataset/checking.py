@@ -34,7 +34,7 @@ _MODEL_MM = 1e-3  # A PLY file stores nine digits, which are read in single prec
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """A problem and its scene; `scene` is None if it concerns the whole dataset."""
+    """A problem and its scene; `scene` is None if the problem concerns the whole dataset."""
 
     scene: int | None
     what: str
@@ -44,7 +44,7 @@ class Problem:
 
 
 def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
-    """Return all problems of a dataset folder; an empty tuple if there are none.
+    """Return all problems of a dataset folder; an empty tuple if the folder has no problems.
 
     Each file must have the SHA-256 that was recorded when it was written. `fast` checks only
     that: it finds every later change of a file, in a hundredth of the time.
@@ -114,7 +114,7 @@ def _of_dataset(problems: Iterable[str]) -> Iterator[_Finding]:
 def _sum_problems(
     out: Path, finished: Iterable[int], claim: records.Claim | RealClaim
 ) -> Iterator[_Finding]:
-    """Yield files that are not as they were written, and scenes of another dataset."""
+    """Yield files that changed after they were written, and scenes from a different dataset."""
     for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"
         try:
@@ -134,7 +134,7 @@ def _sum_problems(
 
 
 def _other_dataset(manifest: Mapping[str, Any], claim: records.Claim) -> Iterator[str]:
-    """Yield where a scene that was copied from another dataset differs from this one."""
+    """Yield the differences between this dataset and a scene copied from a different one."""
     config = {key: value for key, value in claim.config.items() if key not in BESIDE_CONFIG}
     for key, must in (("dataset_seed", claim.seed), ("config", config)):
         if (place := difference(manifest.get(key), must, key)) is not None:

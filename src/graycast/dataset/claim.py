@@ -58,7 +58,7 @@ def make_claim(
     depth_scale_mm: float,
     takers: tuple[Taker, ...] = (),
 ) -> dict[str, Any]:
-    """Return the content of `graycast.json`; the fingerprint covers all but versions and sources.
+    """Return the content of `graycast.json`; the fingerprint excludes versions and sources.
 
     Give `takers` if a scene has several images or a scanner has a name.
     """
@@ -111,7 +111,7 @@ def fingerprint(claim: Mapping[str, Any]) -> str:
 
 
 def described_values(value: Any) -> dict[str, Any]:
-    """Return the fields of a frozen value for JSON; an infinite number becomes the word 'inf'."""
+    """Return a frozen dataclass's fields as JSON values; infinity becomes the word 'inf'."""
 
     def worded(item: Any) -> Any:
         if isinstance(item, dict):
@@ -202,7 +202,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
     """Refuse a folder whose `graycast.json` differs from the one that this run would write.
 
     Raises:
-        DatasetError: the file is damaged or of another configuration; the text names where.
+        DatasetError: the file is damaged or its configuration differs; the text names the place.
     """
     try:
         content = parse_json(path.read_bytes())

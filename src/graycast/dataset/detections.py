@@ -49,7 +49,7 @@ class Detections:
 
 
 def results_bytes(pictures: Sequence[Detections]) -> bytes:
-    """Return COCO results: a list with an entry for each detection, with its box and any mask.
+    """Return COCO results: a list with the box and, if known, the mask of each detection.
 
     Numbers have just enough digits to read back the same values.
     """
@@ -87,7 +87,7 @@ def read_results(
     An entry with a mask may lack a box; its box is then computed from the mask.
 
     Args:
-        obj_ids: the objects of the dataset; None accepts all.
+        obj_ids: object ids of the dataset; None accepts all ids.
 
     Raises:
         GraycastError: the file is missing or damaged, names an unknown scene or object, or has

@@ -32,7 +32,7 @@ class Example:
         depth_m: perfect depth, z in the camera frame [m]; NaN where unknown.
         scanner_depth_m: depth that the scanner measured [m]; NaN where it measured nothing.
         instance: index of each instance in the dataset's `scene_gt.json`.
-        obj_id: the object of each instance.
+        obj_id: object id of each instance.
         mask: the visible mask of each instance.
         box_px: [x, y, width, height] of the visible masks; the image's corner is (0, 0).
         T_cam_part: pose of each part in the camera frame [m].
@@ -165,9 +165,9 @@ def pose_m(rotation: list[float], translation_mm: list[float]) -> Float[np.ndarr
 
 
 def known_depth(value: np.ndarray) -> Bool[np.ndarray, "..."]:
-    """Return which numbers of a depth picture are distances.
+    """Return a mask of the numbers in a depth picture that are distances.
 
-    Not distances are 0, NaN, infinity and the largest number of the type (65535 for 16 bits), which
+    The other numbers are 0, NaN, infinity and the type's largest number (65535 for 16 bits), which
     cameras write where they measured nothing; even a single such pixel counts as missing.
     """
     if value.dtype.kind in "ui":

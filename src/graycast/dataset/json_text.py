@@ -22,7 +22,7 @@ def json_bytes(content: Mapping[str, Any]) -> bytes:
 
 
 def plain(value: Any) -> Any:
-    """Convert NumPy values, paths, tuples and mappings to what JSON can store; NaN becomes null.
+    """Convert NumPy values, paths, tuples and mappings to JSON's types; NaN becomes null.
 
     Raises:
         ValueError: a value has another type, or is infinite.

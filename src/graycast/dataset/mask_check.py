@@ -75,7 +75,7 @@ def mask_problems(
 
 
 def _of_no_image(path: Path, scene: Plain) -> list[str]:
-    """Return masks of images that do not exist; only for the first image, to report them once."""
+    """Return masks without an image; only the first image's check reports them, so once each."""
     if scene.number:
         return []
     has = {f"{number:06d}" for number in scene.numbers}
@@ -211,7 +211,7 @@ def _coco_problems(
 
 
 def _counts(runs: records.RunLengths) -> bytes:
-    """Return the RLE that pycocotools gives; b'' if the runs do not fill the image."""
+    """Return the RLE in pycocotools' form; b'' if the runs do not fill the image."""
     height_px, width_px = runs.size
     if sum(runs.counts) != height_px * width_px:
         return b""

@@ -1,4 +1,4 @@
-"""Pictures of a dataset as bytes: depth and modulation in 16-bit steps, masks, and the PNGs."""
+"""Convert a dataset's pictures to bytes: depth and modulation in 16-bit steps, masks, and PNGs."""
 
 import math
 import struct
@@ -21,9 +21,9 @@ _SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 def depth_scale_mm(reach_m: float) -> float:
     """Return the millimetres of one step of a depth picture that holds depths up to `reach_m`.
 
-    The finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65534 steps reach so far: 0.02 mm up to
-    1.31 m. So a step is a part in 65534 to 26213 of the depth, well under a scanner's noise, and
-    what it multiplies stays short in decimals. It is one number per dataset.
+    It is the finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65534 steps reach `reach_m`:
+    0.02 mm up to 1.31 m. A step is thus 1/65534 to 1/26213 of `reach_m`, well under a scanner's
+    noise, and its multiples have few decimals. A dataset has a single scale.
 
     Raises:
         ValueError: `reach_m` is not positive, or beyond 65 m.
@@ -61,7 +61,7 @@ def modulation_steps(
 ) -> tuple[UInt16[np.ndarray, "h w"], float]:
     """Return 16-bit steps and the power of two that turns a step back into modulation.
 
-    NaN and what noise has made negative are stored as 0: no modulation.
+    NaN and numbers that noise made negative are stored as 0: no modulation.
     """
     value = np.nan_to_num(modulation.astype(np.float64), nan=0.0).clip(min=0.0)
     scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / _STEP_MAX))
@@ -76,8 +76,8 @@ def png(image: UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]) -> bytes:
 def mask_png(crop: Silhouette, height_px: int, width_px: int) -> bytes:
     """Return an 8-bit grey PNG, 255 inside the mask.
 
-    Written here because OpenCV tries filters on every row: eight times slower on masks, of which
-    a full bin has 500.
+    OpenCV is not used because it tries filters on every row, which is eight times slower; the
+    scene of a full bin has 500 masks.
     """
     rows = np.zeros((height_px, 1 + width_px), dtype=np.uint8)  # a row starts with its filter, 0
     bh, bw = crop.mask.shape

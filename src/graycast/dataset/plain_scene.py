@@ -1,4 +1,4 @@
-"""One image of a scene folder, with its records as stored, for the checks."""
+"""Read one image of a scene folder and its stored records, for the checks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -125,7 +125,7 @@ def _numbers(text: str, count: int, where: str) -> list[float]:
 
 
 def _check_times(path: Path, estimates: Sequence[PoseEstimate]) -> None:
-    """Refuse poses of one picture with different times: BOP's time is that of the picture."""
+    """Refuse poses of one picture with different times: BOP's time is the picture's time."""
     known: dict[tuple[int, int], float] = {}
     for one in estimates:
         image = (one.scene_id, one.im_id)

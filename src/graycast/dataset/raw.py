@@ -44,7 +44,7 @@ _NOISY_PNG = [
 
 
 def raw_files(raw: Raw, *, sensor: str = "", number: int = 0) -> Iterator[tuple[str, bytes]]:
-    """Yield each file as (path inside the scene's folder, content); equal values, equal files."""
+    """Yield each file as (path in the scene's folder, content); equal values give equal files."""
     if raw.capture is not None:
         yield from _frame_files(raw, raw.capture, frames_folder(sensor, number))
     if raw.codes is not None:
@@ -55,7 +55,7 @@ def raw_files(raw: Raw, *, sensor: str = "", number: int = 0) -> Iterator[tuple[
 
 
 def raw_facts(raw: Raw) -> dict[str, Any]:
-    """Return the entries of these files in a scene's manifest."""
+    """Return the entries about these files for a scene's manifest."""
     facts: dict[str, Any] = {}
     if raw.capture is not None:
         facts["frames"] = {
@@ -163,7 +163,7 @@ def read_code_maps(
 
 
 def raw_facts_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.RawFacts:
-    """Return a manifest's entries on an image's frames and code maps; empty without a manifest.
+    """Return a manifest's entries about an image's frames and code maps; empty without a manifest.
 
     Raises:
         Unreadable: the manifest is damaged.

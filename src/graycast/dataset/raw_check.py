@@ -31,7 +31,7 @@ def raw_problems(
     gray: UInt8[np.ndarray, "h w"],
     reason: UInt8[np.ndarray, "h w"],
 ) -> Iterator[str]:
-    """Yield all problems of an image's `frames/` and code maps; none if it stores neither.
+    """Yield all problems of an image's `frames/` and code maps, if they are stored.
 
     The check does not decode the pictures; `graycast rig decode` shows whether they give the depth.
     """

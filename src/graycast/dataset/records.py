@@ -46,7 +46,7 @@ class PartClaim(Record):
 
 
 class DistractorClaim(Record):
-    """A part that is among the others but has no annotations."""
+    """A part that is placed among the annotated parts but has no annotations."""
 
     name: str
     content: str
@@ -79,7 +79,7 @@ class Claim(Record):
 
     @property
     def takers(self) -> list[TakerClaim]:
-        """All scanners; a single one without a name if none are listed."""
+        """All scanners; if the claim lists no scanners, a single scanner without a name."""
         one = {"rig": self.rig, "scanner": self.config.get("scanner", {})}
         return self.scanners or [TakerClaim(name="", images=1, **one)]
 
@@ -272,7 +272,7 @@ def split_annotation(annotation: Mapping[str, Any], image_id: int) -> dict[str, 
 
 
 class FrameRecord(BaseModel):
-    """One of a scene's `frames`, with the keys of a stack file."""
+    """An entry in a scene's `frames`, with the keys of a stack file."""
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True, allow_inf_nan=False)
 
@@ -288,7 +288,7 @@ class FramesRecord(Record):
 
 
 class RawFacts(BaseModel):
-    """The entries of `manifest.json` on captured pictures and code maps."""
+    """The entries of `manifest.json` about captured pictures and code maps."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 

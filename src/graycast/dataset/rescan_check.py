@@ -44,7 +44,7 @@ def scene_records(records: Mapping[int, ImageRecord]) -> dict[str, dict[str, Any
 
 
 def rescan_problems(out: Path, *, fast: bool) -> Iterator[tuple[int | None, str]]:
-    """Yield all problems of what a scanner added, as (scene or None, message)."""
+    """Yield all problems of the files that a scanner added, as (scene or None, message)."""
     try:
         claim = read_json(out / CLAIM, RescanClaim)
     except Unreadable as error:
@@ -106,7 +106,7 @@ def _original_problems(
 def _pose_problem(
     scene: SceneFolder, number: int, record: ImageRecord, claim: RescanClaim
 ) -> str | None:
-    """Return a message if the original's objects are not where they were when scanned."""
+    """Return a message if the original's objects have moved since they were scanned."""
     here = scene.of_instances("scene_gt", number, AnyPose)
     here = [one for one in here if one.obj_id in claim.names]
     scanned = [record_as(one, AnyPose, _POSES) for one in record.entries[_POSES]]

@@ -80,7 +80,7 @@ class ImageRecord(Record):
 
     @property
     def has_original(self) -> bool:
-        """Whether the scan's folder has the original's files, as is so for datasets in BOP's form.
+        """Whether the scan's folder has the original's files: True for datasets in BOP's form.
 
         For another layout, the image's files in BOP's form come from its own entries.
         """
@@ -143,7 +143,7 @@ def original_sums(
 
     Args:
         scene: the original scene in BOP's form, or a folder that links to its files.
-        poses: whether the objects' poses are inputs.
+        poses: True if the objects' poses are inputs.
 
     Raises:
         Unreadable: a JSON file is missing or damaged, or a picture cannot be read.
@@ -165,5 +165,5 @@ def original_sums(
 
 
 def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
-    """Return the names whose SHA-256 differ, or that only one of the two has."""
+    """Return the names that have different SHA-256, or that only one mapping contains."""
     return sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))

@@ -16,7 +16,7 @@ NO_REASON = 255  # The dataset does not say why depth is missing.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredInstance:
-    """One instance, visible or not; a field that a dataset of real pictures lacks is None.
+    """One instance, visible or hidden; a field that real pictures lack is None.
 
     `box` and `amodal_box` are BOP's [x, y, last column - first, last row - first], or -1 four times
     if nothing is visible. `box3d` is rotation (9), centre and size [mm] in the camera frame.

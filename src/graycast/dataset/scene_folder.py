@@ -1,4 +1,4 @@
-"""A scene in BOP's form, ours or another: the only module that knows the names of its files.
+"""Read a scene in BOP's form, ours or foreign; no other module knows the names of its files.
 
 A JSON file is named after its content, with an entry under the number of each image. There is a
 folder for each kind of picture; a picture's name is the image's number, and a mask's name has also
@@ -41,7 +41,7 @@ def scene_folders(path: Path, files: str = "scene_gt.json") -> list[Path]:
 
 
 def dead_links(folder: Path, places: Iterable[Path] | None = None) -> Iterator[str]:
-    """Yield a message for each folder that links point to and whose files are gone.
+    """Yield a message for each folder that links point to but whose files are missing.
 
     Args:
         folder: a scene, or the dataset's own folder.
@@ -59,7 +59,7 @@ def dead_links(folder: Path, places: Iterable[Path] | None = None) -> Iterator[s
 
 
 def of_sensor(name: str, sensor: str) -> str:
-    """Return a scanner's name of a file or folder, such as `depth_left_sl` for `depth_sl`.
+    """Return the name of a scanner's file or folder, such as `depth_left_sl` for `depth_sl`.
 
     If the scanner has no name, `name` is returned unchanged.
     """

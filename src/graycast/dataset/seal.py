@@ -47,7 +47,7 @@ def facts_of(manifest: Mapping[str, Any], sensor: str, image: int) -> dict[str, 
 def sealed(
     files: Iterable[tuple[str, bytes]], manifest: Mapping[str, Any]
 ) -> Iterator[tuple[str, bytes]]:
-    """Yield the files of a scene, then its manifest with their SHA-256."""
+    """Yield a scene's files, then the scene's manifest, which holds the SHA-256 of each file."""
     sums = {}
     for name, content in files:
         sums[name] = sha256(content)
@@ -65,7 +65,7 @@ def _own(manifest: Mapping[str, Any]) -> str:
 
 
 def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield all differences from a scene's manifest, in one line for each kind."""
+    """Yield all differences from a scene's manifest, one line for each kind of difference."""
     if SUMS not in manifest or OWN not in manifest:
         yield (
             f"{MANIFEST}: {SUMS} or {OWN} is missing: whether a file of the scene was changed, "
@@ -95,7 +95,7 @@ def sum_problems(folder: Path, sums: Mapping[str, str], *, listed_in: str) -> It
 
 
 def _sum_of(path: Path) -> str | None:
-    """Return a file's SHA-256; None if it cannot be read, which its reader reports."""
+    """Return a file's SHA-256; None if the file cannot be read, which its reader reports."""
     try:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

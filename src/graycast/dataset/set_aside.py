@@ -21,7 +21,7 @@ SETASIDE = "set_aside.json"
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAside:
-    """A scene that failed in all tries, with the reason, and a traceback if it was unexpected."""
+    """A scene that failed in all tries: the reason, and a traceback if the error was unexpected."""
 
     scene_id: int
     tries: int

@@ -135,7 +135,7 @@ class Store:
                 ) from error
 
     def tidy(self) -> None:
-        """Remove unfinished scenes after a failed run; if none is finished, also the claim.
+        """Remove unfinished scenes after a failed run; if no scene is finished, also the claim.
 
         An impossible configuration therefore does not keep the folder reserved.
         """
@@ -290,7 +290,7 @@ def _write(path: Path, pieces: Iterable[bytes], *, to_disk: bool) -> None:
 
 @contextmanager
 def _disk_errors(out: Path) -> Iterator[None]:
-    """Convert an error of the operating system to one that names a remedy."""
+    """Convert an error of the operating system to a DatasetError that names a remedy."""
     try:
         yield
     except OSError as error:

@@ -51,12 +51,12 @@ class StoredScene:
 
     @property
     def image_id(self) -> int:
-        """Number of the image in the split, which is the scene's id if each scene has one image."""
+        """Number of the image in the split; equal to the scene's id if each scene has one image."""
         return self.scene_id * self.of + self.place
 
     @property
     def key(self) -> str:
-        """Name of the image in the dataset, which is the scene's if the scene has one image."""
+        """Name of the image in the dataset; the scene's name if the scene has only one image."""
         return self.scene_key if self.of == 1 else f"{self.scene_key}-{self.image_name}"
 
     @property
@@ -80,11 +80,11 @@ class StoredScene:
         return facts_of(whole, self.sensor, self.image)
 
     def obj_ids(self) -> tuple[int, ...]:
-        """Return the object of each instance, visible or not, which needs only one small file."""
+        """Return the object id of each instance, visible or hidden; only one small file is read."""
         return tuple(pose.obj_id for pose in self.poses()) if "masks" in self.holds else ()
 
     def labels(self, *, min_visibility: float = 0.0) -> list[InstanceLabel]:
-        """Return the instances with at least the given visible fraction; none without masks."""
+        """Return the instances with at least the given visible fraction; empty without masks."""
         rated = "shares" in self.holds
         return [
             self._label(i, pose, info, entry)
@@ -141,7 +141,7 @@ class StoredScene:
         )
 
     def poses(self) -> list[Any]:
-        """Return the entry of each instance, visible or not, in `scene_gt.json`."""
+        """Return the entry in `scene_gt.json` of each instance, visible or hidden."""
         poses = self.of_instances("scene_gt", records.RealPose if self.real else records.Pose)
         for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
             raise DatasetError(

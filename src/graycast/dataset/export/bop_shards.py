@@ -1,4 +1,4 @@
-"""BOP's shards for training, as BOP publishes them and as its toolkit reads them.
+"""Export to BOP's shards for training, in the form that bop_toolkit reads.
 
 An image is the files KEY.rgb.png (or KEY.gray.tiff), KEY.depth.png, KEY.camera.json, KEY.gt.json,
 KEY.gt_info.json, KEY.mask.json and KEY.mask_visib.json. Masks are run lengths by the instance's
@@ -7,7 +7,7 @@ them one after another is random enough.
 
 BOP's pixel (0, 0) is the centre of the top-left pixel. bop_toolkit's renderers put it at that
 pixel's corner: their projection sends a point to x = fx X/Z + cx of a window in which the centre of
-pixel k lies at k + 1/2. For who uses them `pixel_origin="corner"` adds half a pixel to cx and cy.
+pixel k lies at k + 1/2. For them, `pixel_origin="corner"` adds half a pixel to cx and cy.
 
 Source: the documented layout of bop_toolkit's `dataset/bop_webdataset.py`.
 """

@@ -1,4 +1,4 @@
-"""Point clouds: what a perfect and what the simulated scanner sees, in colour, one file each.
+"""Export coloured point clouds of the perfect and of the simulated scanner, one file each.
 
 Points are metres in the camera frame. A lens with distortion is taken into account: a point lies
 on its pixel's true ray.

@@ -42,7 +42,7 @@ def export(
         out: a folder that does not exist or is empty.
         options: the format and its options.
         selection: a file of scenes saved on the report's page; only they are exported.
-        progress: counts pictures.
+        progress: meter that counts the pictures.
 
     Returns:
         The content of `export.json` in `out`.

@@ -74,7 +74,7 @@ DEPTHS = {
 
 
 def no_format(name: str) -> str:
-    """Return the error of a name that is no format, with the format to take."""
+    """Return the error message for an unknown format; it names the formats to use."""
     if name in _FORMER:
         return (
             f"the format {name} is no longer written or read: export as bop-webdataset, or as "
@@ -89,14 +89,14 @@ class Options:
 
     Attributes:
         format: one of `FORMATS`.
-        split: the scenes of train, val and test.
+        split: the division of the scenes into train, val and test.
         image: the picture: `rgb`, the colour camera's, or `gray`, the scanner's white frame.
         depth: `perfect`, `scanner`, `both` or `none`.
         polygons: COCO's masks as polygons instead of run lengths.
         labels: YOLO's rows as `segments` or as `boxes`.
         cloud: `ply` or `pcd`.
-        organised: clouds with a point for every pixel, NaN where there is none.
-        shard_scenes: scenes in one file, at most.
+        organised: clouds with a point for every pixel, NaN if the pixel has no depth.
+        shard_scenes: largest number of scenes in one file.
         pixel_origin: the point of the top-left pixel that is (0, 0) in BOP's cameras: its
             `centre`, as BOP defines it, or its `corner`, as bop_toolkit's renderers assume.
         link: make hard links to the dataset's pictures instead of copies.

@@ -1,7 +1,7 @@
 """Convert masks to polygons along the borders of their pixels, without loss.
 
 Pixel (0, 0) covers [0, 1] x [0, 1], as in COCO and YOLO: the origin is the image's corner, half a
-pixel before that of the rest of this package.
+pixel before the origin that the rest of this package uses.
 
 Outlines run a sixteenth of a pixel inside the borders. Programs that count the pixels inside an
 outline (pycocotools) still recover the same mask. Programs that truncate coordinates and also
@@ -22,7 +22,7 @@ _INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # Each direction has its
 
 
 def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
-    """Return the corners (x, y) of a mask's borders: outer ones clockwise, holes the other way.
+    """Return the corners (x, y) of a mask's borders: outer borders clockwise, holes anticlockwise.
 
     The corners are moved inwards by `INSET_PX`. Pixels that share only a corner are separate.
     """

@@ -28,7 +28,7 @@ _IMAGES = {"rgb": "rgb", "gray_sl": "gray", "depth": "depth", "depth_sl": "depth
 
 
 def schema() -> "pa.Schema":
-    """Return the columns of a row; those that a dataset does not contain are null."""
+    """Return the columns of a row; columns that a dataset does not contain are null."""
     masks = pa.struct([("size", pa.list_(pa.int32(), 2)), ("counts", pa.string())])
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     features = {name: {"_type": "Image"} for name in _IMAGES.values()}

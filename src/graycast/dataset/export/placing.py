@@ -1,4 +1,4 @@
-"""Put a dataset's files into an export: copied, linked, or packed into tar files."""
+"""Copy or link a dataset's files into an export, or pack them into tar files."""
 
 import io
 import os
@@ -46,7 +46,7 @@ def groups(items: Iterable[T], most: int) -> Iterator[Iterator[T]]:
 def write_shards(
     folder: Path, samples: Iterable[tuple[str, Iterable[tuple[str, bytes]]]], *, most: int
 ) -> dict[str, int]:
-    """Write `shard-000000.tar` ... with at most `most` samples each.
+    """Write `shard-000000.tar` ... with at most `most` samples per file.
 
     As in WebDataset, a sample consists of consecutive files KEY.name. Equal samples give equal
     bytes, because the entries hold no times, owners or names of the machine.

@@ -15,7 +15,7 @@ RECORD = "export.json"
 
 
 class ExportedPicture(records.Record):
-    """One of the pictures that each scene has; `sensor` is its scanner's name, or empty."""
+    """A picture that each scene has; `sensor` is the scanner's name, or empty."""
 
     sensor: str
     image: int

@@ -47,7 +47,7 @@ class Split:
         return "train" if at < train else "val" if at < train + val else last
 
     def least(self) -> int:
-        """Return how many scenes, counted from 0, give at least one to each set with a share."""
+        """Return the number of scenes, from id 0, that gives every set with a share a scene."""
         wanted = {name for name, share in zip(NAMES, self.shares, strict=True) if share > 0}
         for scene_id in count():
             wanted.discard(self.place(scene_id))
@@ -81,7 +81,7 @@ class Split:
 
 
 def parse_shares(text: str) -> tuple[float, float, float]:
-    """Read shares such as '0.8,0.1,0.1'; those left out are 0.
+    """Read shares such as '0.8,0.1,0.1'; omitted shares are 0.
 
     Raises:
         GraycastError: the text is not one to three numbers.

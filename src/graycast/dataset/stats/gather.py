@@ -32,7 +32,7 @@ class ErrorFigures:
     """Errors of depth (scanner minus perfect) over the pixels that have both [mm].
 
     `sigma_mm` is half the width of the middle 68.27 %, which outliers hardly change; they do change
-    `rms_mm`. All are NaN if there is no such pixel.
+    `rms_mm`. All figures are NaN if no pixel has both depths.
     """
 
     pixels: int
@@ -93,7 +93,7 @@ class Statistics:
 
     @property
     def depth_quantiles_mm(self) -> dict[str, float]:
-        """Quantiles of the perfect depth, to within a bin of 10 mm."""
+        """Quantiles of the perfect depth, accurate to a bin of 10 mm."""
         quantiles = _quantiles(self.depth_bin, _QUANTILES)
         names = [f"p{round(100 * q):02d}" for q in _QUANTILES]
         return {n: (v + 0.5) * DEPTH_BIN_MM for n, v in zip(names, quantiles, strict=True)}
@@ -124,11 +124,11 @@ def dataset_statistics(
     """Read each scene once and return the statistics.
 
     Args:
-        workers: processes that read; the result does not depend on their number.
-        progress: counts scenes.
+        workers: number of processes that read; the result does not depend on their number.
+        progress: meter that counts the scenes.
 
     Raises:
-        DatasetError: the dataset has no scene, or one that cannot be read.
+        DatasetError: the dataset has no scene, or a scene cannot be read.
     """
     stored = open_dataset(dataset)
 

@@ -15,7 +15,7 @@ ERROR_LIMIT_STEPS = 20000  # Larger errors count as this: 2 m in steps of 0.1 mm
 class SceneFigures(BaseModel):
     """Counts of one picture; dictionaries are histograms without empty bins.
 
-    `picture` is the picture's name in its scene, or empty if the scene has only one.
+    `picture` is the picture's name in its scene, or empty if the scene has only one picture.
 
     Four lists have an entry per instance, in the order of `scene_gt.json`: `obj_id`, `visib_fract`
     (None if unknown), `area_px` of the visible mask, and `box_px` (columns and rows of the visible

@@ -44,7 +44,7 @@ class Foreign:
     Attributes:
         scene_of: the scene of each example; the pictures of a scene stay in one set.
         categories: object ids and names.
-        read: returns an example by its number.
+        read: function that returns an example by its number.
     """
 
     scene_of: tuple[int, ...]
@@ -139,7 +139,7 @@ def _open_coco(path: Path) -> Foreign:
 def refuse_repeated(content: Mapping[str, Any], where: str) -> None:
     """Refuse a COCO file in which two images or categories share an id, or two categories a name.
 
-    A reader would confuse the two.
+    A reader would confuse the two entries.
 
     Raises:
         DatasetError: the text names the first such pair and its place in the file.
@@ -215,7 +215,7 @@ def _run(shape: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
 
 
 def _beside(path: Path, name: str) -> Path:
-    """Return the path of a picture near the annotations: in their folder, or one above or below.
+    """Return the path of a picture near the annotations: in their folder, the one above, or below.
 
     Raises:
         DatasetError: no such picture exists, or its name leads out of these folders.

@@ -27,7 +27,7 @@ def picture(data: bytes, name: str) -> np.ndarray:
 
 
 def image_fields(kind: str, image: np.ndarray, name: str) -> dict[str, UInt8[np.ndarray, "..."]]:
-    """Return a picture under the name of its field in `Example`, which is its kind."""
+    """Return a picture by the name of its field in `Example`, which equals the picture's kind."""
     if (image.ndim == 3) != (kind == "rgb") or image.dtype != np.uint8:
         raise DatasetError(f"{name}: is {image.dtype} {image.shape}, not 8-bit {kind}")
     return {kind: np.ascontiguousarray(image[..., ::-1]) if kind == "rgb" else image}
@@ -45,10 +45,10 @@ def depth_m(steps: np.ndarray, scale_mm: float, name: str) -> Float32[np.ndarray
 def masks(
     runs: Sequence[dict[str, Any]], size_px: tuple[int, int], name: str
 ) -> Bool[np.ndarray, "n h w"]:
-    """Return the masks of one picture from COCO's run lengths, compressed or not.
+    """Return the masks of one picture from COCO's run lengths, compressed or uncompressed.
 
     Raises:
-        DatasetError: a mask has another size than the picture.
+        DatasetError: the size of a mask differs from that of the picture.
     """
     mask = np.zeros((len(runs), *size_px), dtype=bool)
     for i, run in enumerate(runs):

@@ -1,4 +1,4 @@
-"""Examples from BOP's shards."""
+"""Read examples from BOP's shards."""
 
 import tarfile
 from collections.abc import Callable, Mapping, Sequence
@@ -79,7 +79,7 @@ def _index(folder: Path) -> dict[str, dict[str, Place]]:
     """Return the place of each member of each sample, by key and ending, from all shards' headers.
 
     Raises:
-        DatasetError: there is no shard, or one is cut off.
+        DatasetError: there is no shard, or a shard is cut off.
     """
     index: dict[str, dict[str, Place]] = {}
     shards = sorted(folder.glob("shard-*.tar"))

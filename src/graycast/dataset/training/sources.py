@@ -40,7 +40,7 @@ class Examples(_Sequence):
     No files are kept open, so each process of a data loader can have a copy.
 
     Attributes:
-        folder: the dataset or export that they come from.
+        folder: the dataset or export that the examples come from.
         scene_ids: numbers of the pictures, in the order of the examples; the scenes' ids if each
             scene has one picture.
         categories: object ids and the parts' names.
@@ -114,7 +114,7 @@ def open_examples(
             export, which was divided when it was made.
 
     Raises:
-        DatasetError: the folder is not one of these, or has no such set.
+        DatasetError: the folder is not of these kinds, or does not have the set `split`.
     """
     folder = Path(folder)
     if not (folder / CLAIM).is_file() and not (folder / RECORD).is_file() and is_foreign(folder):

@@ -26,7 +26,7 @@ class Detections:
 
     Attributes:
         scene_id: the scene of the picture; COCO's `image_id`.
-        score: from 0 to 1 for the detectors of `detect`.
+        score: score of each detection, from 0 to 1 for the detectors of `detect`.
         obj_id: the object of each detection; COCO's `category_id`.
         box_px: [x, y, width, height] as in COCO: (0, 0) is the outer corner of the top-left
             pixel, so a box that begins in the first column has x = 0.

@@ -2,7 +2,7 @@
 
 `graycast.json` has `kind: real` and a list of what the scenes contain. There are no models, poses,
 perfect depth, hidden parts of silhouettes or reasons for missing depth. Everything else is where a
-simulated dataset has it, so that one reader serves both. Visible masks may overlap as far as the
+simulated dataset has it, so that one reader serves both. Visible masks may overlap where the
 annotators' drawings overlap.
 """
 

@@ -1,4 +1,4 @@
-"""Other datasets to which `graycast rescan` added scanner depth: their claim and records.
+"""Claim and records of foreign datasets to which `graycast rescan` added scanner depth.
 
 `graycast.json` has `kind: rescan`. Each image has a record, `scan_sl/000012.json` in its scene's
 folder. It holds the SHA-256 of the pictures that the scanner added, and the image's entries of the

@@ -75,8 +75,8 @@ class Line:
 
         Args:
             folder: the folder where the configuration's relative paths start.
-            emit: called with every answer.
-            superseded: returns whether a newer request has arrived.
+            emit: function that is called with every answer.
+            superseded: function that returns whether a newer request has arrived.
         """
         self._folder, self._scene_id, self._device = folder, scene_id, device
         self._emit, self._superseded = emit, superseded
@@ -320,7 +320,7 @@ def _words(config: Config) -> str:
 
 
 def _state(file: Path) -> Hashable:
-    """Return a value that changes when a file is written; None if there is no such file."""
+    """Return a value that changes when a file is written; None if the file does not exist."""
     try:
         state = file.stat()
     except OSError:

@@ -48,7 +48,7 @@ class Session:
 
         Args:
             path: the file of the configuration, which is never written.
-            on_message: called with every message for a page.
+            on_message: function that is called with every message for a page.
 
         Raises:
             ConfigError: see `load_config`.
@@ -229,7 +229,7 @@ class Session:
 
     @property
     def refusal(self) -> Message | None:
-        """Message on why the settings give no picture; None if they were not refused."""
+        """Message that explains why the settings give no picture; None if they were not refused."""
         with self._lock:
             return self._refusal
 

@@ -68,7 +68,7 @@ def preview(shot: Shot, code: Code) -> Image.Image:
     """Return the contact sheet of one scene.
 
     Args:
-        code: the code of the captured frames.
+        code: code with which the frames were captured.
 
     Raises:
         ValueError: the numbers of frames of capture and code differ.

@@ -112,7 +112,7 @@ def write_report(
             `graycast detector find`. None removes the results of an earlier build.
         files: the folder in which the relative path of the bin's mesh begins. Without that file,
             the 3D view has no bin.
-        progress: counts scenes.
+        progress: meter that counts the scenes.
 
     Raises:
         DatasetError: the dataset has no scene, or a scene cannot be read.

@@ -6,6 +6,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from backends import slow
 
 from graycast.base.errors import ConfigError
@@ -15,8 +16,9 @@ from graycast.cell.framing import SCANNERS, best_framing, bin_share, part_width_
 from graycast.cell.new_cell import bin_for, fitted_surface, framing_text, new_cell
 from graycast.cell.resolve import resolve_cell
 from graycast.cli.command import main
-from graycast.world.parts import MATERIALS, builtin_part
-from graycast.world.parts.part_sections import Unit
+from graycast.world.parts import MATERIALS, Material, builtin_part, load_part
+from graycast.world.parts.material_section import MaterialSection, resolve_material
+from graycast.world.parts.part_sections import Unit, resolve_part
 from graycast.world.scene import Bin
 
 
@@ -61,40 +63,117 @@ def test_a_new_cell_file_is_read_with_the_values_that_were_written(tmp_path, mon
 
 
 FITTED = """\
-# Fitted to scan: 3000 pixels.
-base_color: [0.41, 0.41, 0.41]  # 0.39 to 0.43
+# Fitted to scan, scanned by like-phoxi-m with 637 nm: 3000 pixels.
+base_color: [0.41, 0.41, 0.41]  # 0.39 to 0.43, at the projector's wavelength
 metallic: 1.0
 roughness: 0.44  # 0.42 to 0.46
+specular: 0.5
 """
+PLASTIC = FITTED.replace("metallic: 1.0", "metallic: 0.0")
 
 
-def test_a_fitted_surface_is_in_the_cell_with_its_intervals(tmp_path):
-    (tmp_path / "fit.yaml").write_text(FITTED)
-    part, surface = builtin_part("toothpaste"), fitted_surface(tmp_path / "fit.yaml")
-    text = new_cell("cell", part, {"builtin": "toothpaste"}, surface=surface)
+@pytest.mark.parametrize(
+    ("content", "metallic"), [(FITTED, 1.0), pytest.param(PLASTIC, 0.0, marks=pytest.mark.slow)]
+)
+def test_a_fitted_surface_is_in_the_cell_with_its_intervals(tmp_path, content, metallic):
+    (tmp_path / "fit.yaml").write_text(content)
+    trimesh.creation.box((20, 30, 60)).export(tmp_path / "block.stl")
+    block, _ = load_part(tmp_path / "block.stl", unit="mm", density_kg_m3=2700.0, friction=0.4)
+    source = {"mesh": "block.stl", "unit": "mm"}
+    text = new_cell("cell", block, source, surface=fitted_surface(tmp_path / "fit.yaml"))
     (tmp_path / "cell.yaml").write_text(text)
-    cell = resolve_cell(load_config(tmp_path / "cell.yaml"), tmp_path)
-    material = cell.scene.parts[0].material
-    assert (material.base_color, material.metallic, material.roughness) == ((0.41,) * 3, 1.0, 0.44)
-    assert cell.scene.parts[0].density_kg_m3 == surface.density_kg_m3
-    assert cell.scanner.exposure.auto  # Metal needs a wide bracket.
-    assert "# 0.42 to 0.46" in text and "# Fitted to scan: 3000 pixels." in text
+    config = load_config(tmp_path / "cell.yaml")
+    part, _ = resolve_part(config.parts[0], tmp_path)
+    fit = Material(base_color=(0.41,) * 3, metallic=metallic, roughness=0.44, specular=0.5)
+    assert part.material == fit
+    assert part.density_kg_m3 == 2700  # a scan does not determine it
+    assert ("exposure: {auto: true}" in text) == (metallic == 1)  # metal needs a wide bracket
+    for comment in ("scanned by like-phoxi-m with 637 nm: 3000 pixels.", "# 0.42 to 0.46"):
+        assert comment in text
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        f"---\n{FITTED}...\n",
+        f"\ufeff{FITTED}",
+        FITTED.replace("\n", "\r\n"),
+        "{base_color: [0.41, 0.41, 0.41],\n metallic: 1.0, roughness: 0.44}",
+        "  base_color: [0.41, 0.41, 0.41]\n  metallic: 1.0\n\n  roughness: 0.44",
+    ],
+    ids=["document marks", "byte order mark", "lines of Windows", "braces", "indented"],
+)
+def test_a_fitted_material_may_be_saved_again_by_an_editor(tmp_path, content):
+    (tmp_path / "fit.yaml").write_bytes(content.encode())
+    surface = fitted_surface(tmp_path / "fit.yaml")
+    entry = "\n  ".join(["- mesh: a.stl", *surface.lines])
+    (section,) = yaml.safe_load(entry)
+    assert section["material"].items() >= {"roughness": 0.44, "metallic": 1.0}.items()
+    assert surface.material == resolve_material(MaterialSection(**section["material"]), tmp_path)
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (FITTED.replace("roughness:", "# roughness:"), "has no roughness"),
-        (FITTED.replace("base_color:", "# base_color:"), "has no base_color"),
-        (FITTED + "texture: print.png\n", "names a picture"),
+        (FITTED.replace("roughness:", "# roughness:"), "has no roughness, so the scan did not"),
+        (FITTED.replace("base_color:", "# base_color:"), "has no base_color, so the scan did not"),
+        (FITTED.replace("metallic:", "# metallic:"), "has no metallic, so the scan did not"),
+        ("preset: steel\n", "is no fitted material, which has the keys base_color, metallic"),
+        ("", "holds no keys"),
+        (FITTED + "texture: print.png\n", "texture names a picture"),
         (FITTED + "parts: []\n", "unknown key parts"),
-        (FITTED.replace("0.44", "4.4"), "roughness"),
+        (FITTED + "anisotropy: 0.5\n", "anisotropy is 0.5, which needs"),
+        (FITTED.replace("0.44", "4.4"), "roughness is 4.4"),
+        (FITTED.replace("0.41]", "0.41"), "is not YAML in line"),
+        ("--- # a fit\n" + FITTED, "is not YAML in line 3"),
+        (
+            FITTED.replace("metallic", "# metallic").replace("base", "# base"),
+            "has no base_color and no metallic, so the scan did not",
+        ),
     ],
 )
 def test_a_file_without_a_complete_material_is_refused(tmp_path, content, message):
     (tmp_path / "fit.yaml").write_text(content)
     with pytest.raises(ConfigError, match=f"fit.yaml: .*{message}"):
         fitted_surface(tmp_path / "fit.yaml")
+
+
+def test_only_one_surface_is_accepted(capsys):
+    words = ["new", "a", "--builtin", "toothpaste", "--surface", "steel", "--surface-from", "f"]
+    with pytest.raises(SystemExit):
+        main(words)
+    assert "--surface-from: not allowed with argument --surface" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("content", "density_kg_m3", "mass"), [(FITTED, 7850, "283 g"), (PLASTIC, 1000, "36 g")]
+)
+def test_a_mesh_with_a_fitted_metal_is_as_heavy_as_steel(
+    tmp_path, monkeypatch, capsys, content, density_kg_m3, mass
+):
+    """Oracle: the masses of 36 cm^3 of steel and of water."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fit.yaml").write_text(content)
+    trimesh.creation.box((20, 30, 60)).export("block.stl")
+    words = ["new", "cell", "--part", "block.stl", "--unit", "mm", "--surface-from", "fit.yaml"]
+    assert main(words) == 0
+    assert f"60.0 mm, {mass}" in capsys.readouterr().out
+    cell = resolve_cell(load_config(tmp_path / "cell/cell.yaml"), tmp_path / "cell")
+    (part,) = cell.scene.parts
+    assert part.material == fitted_surface(tmp_path / "fit.yaml").material
+    assert part.density_kg_m3 == density_kg_m3
+    assert cell.scanner.exposure.auto == (density_kg_m3 == 7850)
+
+
+@pytest.mark.slow
+def test_a_builtin_part_with_a_fitted_surface_keeps_its_density(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fit.yaml").write_text(FITTED)
+    assert main(["new", "cell", "--builtin", "toothpaste", "--surface-from", "fit.yaml"]) == 0
+    (part,) = resolve_cell(load_config(tmp_path / "cell/cell.yaml"), tmp_path).scene.parts
+    own = builtin_part("toothpaste")
+    assert (part.density_kg_m3, part.material.metallic) == (own.density_kg_m3, 1.0)
 
 
 def test_a_builtin_part_gets_the_surface_that_was_asked_for(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import ConfigError
-from ..base.settings import read_settings, read_text
+from ..base.settings import check_settings, parse_yaml, read_text
 from ..rig.pair import BINNING
 from ..world.parts import Material, Part, Symmetry, full_count, material_preset
 from ..world.parts.material_section import MaterialSection, resolve_material
@@ -24,16 +24,19 @@ HEAP_SHARE = 1 / 3  # A scene has at most this share of the parts that would fil
 _METAL_EXPOSURE = "exposure: {auto: true}   # chosen from each picture: up to 5, which take longer"
 SMALL_SHARE = 0.5  # A bin that covers less of the picture looks like a wrong choice of the scanner.
 MOST_PARTS = 60  # The time of a drop grows with the parts in a scene.
-METAL_KG_M3, OTHER_KG_M3 = 7850.0, 1000.0  # densities of parts with a fitted surface: steel, water
+_FITTED = ("base_color", "metallic", "roughness")  # keys that a fit determines or leaves out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartSurface:
-    """A material, and the keys of a part in a configuration that state it."""
+    """A material, and the lines of a part in a configuration that state it.
+
+    A scan does not determine the density; it is then None.
+    """
 
     material: Material
-    density_kg_m3: float
-    keys: tuple[str, ...]
+    density_kg_m3: float | None
+    lines: tuple[str, ...]
 
 
 def named_surface(name: str) -> PartSurface:
@@ -43,37 +46,46 @@ def named_surface(name: str) -> PartSurface:
         ValueError: no material has that name.
     """
     preset = material_preset(name)
-    keys = (
-        f"material: {name}   # change it to that of your part",
-        f"density_kg_m3: {preset.density_kg_m3:g}",
-    )
-    return PartSurface(material=preset.material, density_kg_m3=preset.density_kg_m3, keys=keys)
+    lines = (f"material: {name}   # change it to that of your part",)
+    return PartSurface(material=preset.material, density_kg_m3=preset.density_kg_m3, lines=lines)
 
 
 def fitted_surface(path: Path) -> PartSurface:
     """Read the material that `graycast real material` wrote; its comments are kept.
 
     Raises:
-        ConfigError: the file is no material, leaves a number open, or names a picture.
+        ConfigError: the file is no fitted material, lacks a key, names a picture, or has lines that
+            cannot be copied.
     """
-    section = read_settings(path, MaterialSection)
-    for key in ("base_color", "roughness"):
-        if getattr(section, key) is None:
-            raise ConfigError(
-                f"{path}: has no {key}, so the scan did not determine it: add the key, or fit the "
-                "material to a scan that determines it (graycast real material --help)"
-            )
-    if section.texture is not None or section.roughness_map is not None:
-        raise ConfigError(f"{path}: names a picture: copy its keys into cell.yaml by hand")
-    material = resolve_material(section, path.parent)
-    density_kg_m3 = METAL_KG_M3 if material.metallic > 0 else OTHER_KG_M3
-    lines = [line for line in read_text(path).splitlines() if line.strip()]
-    keys = (
-        f"material:   # from {path.name}",
-        *(f"  {line}" for line in lines),
-        f"density_kg_m3: {density_kg_m3:g}   # change it to that of your part",
-    )
-    return PartSurface(material=material, density_kg_m3=density_kg_m3, keys=keys)
+    text = read_text(path)
+    content = parse_yaml(text, path)
+    section = check_settings(content, MaterialSection, path)
+    missing = [key for key in _FITTED if getattr(section, key) is None]
+    if len(missing) == len(_FITTED):
+        raise ConfigError(
+            f"{path}: is no fitted material, which has the keys {', '.join(_FITTED)}: give a file "
+            "that graycast real material wrote, or name a material with --surface"
+        )
+    if missing:
+        raise ConfigError(
+            f"{path}: has no {' and no '.join(missing)}, so the scan did not determine it: add the "
+            "key, or fit a scan that determines it (graycast real material --help)"
+        )
+    if section.files:
+        raise ConfigError(
+            f"{path}: {', '.join(section.files)} names a picture: copy the keys into cell.yaml by "
+            "hand"
+        )
+    try:
+        material = resolve_material(section, path.parent)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    # A byte order mark, and the marks of a document, are not allowed inside a section.
+    own = text.removeprefix("\ufeff").splitlines()
+    own = [f"  {line}" for line in own if line.strip() not in ("", "---", "...")]
+    parse_yaml("\n".join(own), path)  # It refuses other lines that a section cannot have.
+    lines = (f"material:   # from {path.name!r}", *own)
+    return PartSurface(material=material, density_kg_m3=None, lines=lines)
 
 
 def new_cell(
@@ -91,7 +103,7 @@ def new_cell(
         part: the part, whose size is used.
         source: the keys of `parts` that name its origin.
         surface: the surface of the part; None keeps the part's own material, such as a mesh's
-            texture. The part's own density is then written, too, if `source` is a mesh.
+            texture. A surface without a density keeps the part's own density.
     """
     inner_m = bin_for(part)
     box = Bin(inner_m=inner_m)
@@ -101,11 +113,13 @@ def new_cell(
     # JSON is valid YAML, even if the name of a file has a colon, a hash or a quote.
     keys = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in source.items()]
     if surface is not None:
-        keys += surface.keys
-        if "mesh" in source and shape_symmetry(part.mesh) != Symmetry():
-            keys.append("symmetry: {auto: true}   # remove it if print or colour tells sides apart")
+        keys += surface.lines
+    if surface is not None and surface.density_kg_m3 is not None:
+        keys.append(f"density_kg_m3: {surface.density_kg_m3:g}")
     elif "mesh" in source:
         keys.append(f"density_kg_m3: {part.density_kg_m3:g}   # change it to that of your part")
+    if surface is not None and "mesh" in source and shape_symmetry(part.mesh) != Symmetry():
+        keys.append("symmetry: {auto: true}   # remove it if print or colour tells sides apart")
     size = " x ".join(f"{1e3 * side:.0f}" for side in part.mesh.extent_m)
     room = ", ".join(f"{side:.2f}" for side in inner_m)
     cell, picture, dataset = (

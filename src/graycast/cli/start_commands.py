@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..world.parts import Part
 
 DEMO_PART = "metal_workpiece_1"
+METAL_KG_M3, OTHER_KG_M3 = 7850.0, 1000.0  # Steel and water, if nothing names the substance.
 DEMO = """\
 It writes the configuration of a cell with machined brackets in a bin, a dataset of three scenes,
 and a picture of one of them. If the command is stopped, the same command continues."""
@@ -60,7 +61,7 @@ def add_first(commands) -> None:
         "--surface-from",
         type=Path,
         metavar="FILE",
-        help="The material that graycast real material fitted to a scan of the part.",
+        help="A material that graycast real material fitted to a scan, in place of --surface.",
     )
 
 
@@ -138,8 +139,10 @@ def _write_cell(
         part, source = builtin_part(builtin), {"builtin": builtin}
     else:
         material = None if own is None else own.material
+        metal = material is not None and material.metallic > 0
+        density_kg_m3 = METAL_KG_M3 if metal else OTHER_KG_M3
         part, notes = load_part(
-            mesh, unit=unit, material=material, density_kg_m3=1000.0, friction=0.4
+            mesh, unit=unit, material=material, density_kg_m3=density_kg_m3, friction=0.4
         )
         for note in (*notes, *glass_notes([part])):
             print(f"note: {mesh}: {note}")
@@ -154,7 +157,9 @@ def _write_cell(
                 copy = out / file.relative_to(mesh.parent)
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(file, copy)
-    return part if own is None else replace(part, density_kg_m3=own.density_kg_m3)
+    if own is None or own.density_kg_m3 is None:
+        return part
+    return replace(part, density_kg_m3=own.density_kg_m3)
 
 
 def _doctor(options: argparse.Namespace) -> None:

@@ -97,7 +97,9 @@ def _material(options: argparse.Namespace) -> None:
         except GraycastError as error:
             print(f"note: mottle is not fitted: {error}")
     print("\n".join(describe_fit(fit, mottle)))
-    write_whole(options.out, material_text(fit, options.stack.name, mottle).encode())
+    nm = 1e9 * scan.scanner.sensor.wavelength_m
+    source = f"{options.stack.as_posix()}, scanned by {scan.scanner.rig.name} with {nm:.0f} nm"
+    write_whole(options.out, material_text(fit, source, mottle).encode())
     draw_fit(fit, observations, plot)
     print(options.out)
     print(plot)

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 
-from graycast.base.errors import GraycastError
+from graycast.base.errors import ConfigError, GraycastError
+from graycast.cell.new_cell import fitted_surface
 from graycast.real.material import fitting
 from graycast.real.material.fitting import fit_material, scale_of
 from graycast.real.material.material_files import describe_fit, draw_fit, material_text
@@ -172,15 +174,25 @@ def test_the_scale_follows_from_a_white_sheet_by_lamberts_law():
         scale_of(white.part(np.arange(50)), 0.8)
 
 
-def test_the_result_is_printed_as_a_material_section_with_the_fitted_numbers(tmp_path):
-    import yaml
-
+def steel_fit(lead):
     interval = fitting.FittedValue(value=0.4, low=0.38, high=0.43)
-    fit = fitting.MaterialFit(
+    return fitting.MaterialFit(
         kind="metal", color=interval, roughness=interval, scale=1.0, known=True, scatter=0.05,
-        lead=10.0, pixels=1000, angles_rad=(0.1, 0.5),
+        lead=lead, pixels=1000, angles_rad=(0.1, 0.5),
     )  # fmt: skip
-    section = MaterialSection(**yaml.safe_load(material_text(fit, "stack.yaml")))
+
+
+def test_the_result_is_printed_as_a_material_section_with_the_fitted_numbers(tmp_path):
+    section = MaterialSection(**yaml.safe_load(material_text(steel_fit(10.0), "stack.yaml")))
     material = resolve_material(section, tmp_path)
     assert (material.metallic, material.roughness) == (1.0, 0.4)
     assert material.base_color == (0.4,) * 3
+
+
+def test_a_new_cell_takes_no_material_whose_kind_is_not_determined(tmp_path):
+    path = tmp_path / "material.yaml"
+    path.write_text(material_text(steel_fit(lead=1.0), "stack.yaml"))
+    with pytest.raises(ConfigError, match="has no metallic, so the scan did not"):
+        fitted_surface(path)
+    path.write_text(material_text(steel_fit(lead=10.0), "stack.yaml"))
+    assert fitted_surface(path).material == steel_fit(lead=10.0).material

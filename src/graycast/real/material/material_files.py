@@ -53,11 +53,17 @@ def material_text(fit: MaterialFit, source: str, mottle: MottleFit | None = None
     """Return the material as a section of a configuration, with intervals as comments."""
     lines = [
         f"# Fitted to {source}: {fit.pixels} pixels.",
-        "# Intervals hold 95 %. `graycast new --surface-from` writes a cell with this material.",
+        "# Intervals hold 95 %. These keys belong to material: of a part in cell.yaml.",
     ]
     color = f"[{', '.join([f'{fit.color.value:.3f}'] * 3)}]"
     lines += _line("base_color", color, fit.color, SPAN, "at the projector's wavelength")
-    lines.append(f"metallic: {float(fit.kind == 'metal')}{_comment(_doubt(fit))}")
+    if fit.lead >= CERTAIN_LEAD:
+        lines.append(f"metallic: {float(fit.kind == 'metal')}")
+    else:
+        lines.append(
+            f"# metallic is not determined by this scan: the other values are those of {fit.kind}, "
+            f"and {_other_kind(fit)} explains the light as well."
+        )
     rough = f"{fit.roughness.value:.3f}"
     lines += _line("roughness", rough, fit.roughness, WIDE, "")
     if fit.diffuse is not None:
@@ -104,8 +110,11 @@ def draw_fit(fit: MaterialFit, observations: Reflections, path: Path) -> None:
 def _doubt(fit: MaterialFit) -> str:
     if fit.lead >= CERTAIN_LEAD:
         return ""
-    other = "plastic" if fit.kind == "metal" else "metal"
-    return f" (not determined: {other} explains the light as well)"
+    return f" (not determined: {_other_kind(fit)} explains the light as well)"
+
+
+def _other_kind(fit: MaterialFit) -> str:
+    return "plastic" if fit.kind == "metal" else "metal"
 
 
 def _number(interval: FittedValue, widest: float) -> str:

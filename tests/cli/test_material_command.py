@@ -65,6 +65,30 @@ def test_the_material_of_steel_brackets_is_recovered_from_a_scan(scene, tmp_path
 
 
 @pytest.mark.slow
+def test_parts_and_bin_are_told_apart_without_masks(scene, tmp_path, capsys):
+    """Oracle: the simulated masks and materials of the steel parts and of the matt grey bin."""
+    out = tmp_path / "m.yaml"
+    white = ("--reference", scene / "white.png", "--reflectance", 0.5)
+    assert not run(scene / "frames", *white, "--out", out)
+    text = capsys.readouterr().out
+    assert "2 classes of material" in text
+    assert text.count("the surface of --reference") == 1
+    bin_, steel = (yaml.safe_load((tmp_path / f"m_{k}.yaml").read_text()) for k in (1, 2))
+    assert bin_ == MATT | {"base_color": [0.5] * 3, "metallic": 0.0}
+    assert "the class reflects 0.5" in text or "the class reflects 0.49" in text
+    assert steel["metallic"] == 1.0
+    assert steel["roughness"] == pytest.approx(0.4, abs=0.05)
+    assert steel["base_color"] == pytest.approx([0.4] * 3, rel=0.1)
+    picture = cv2.imread(str(tmp_path / "m_classes.png")).astype(int)
+    parts = np.maximum.reduce([cv2.imread(str(mask), 0) for mask in masks(scene)]) > 0
+    orange = picture[..., 2] > picture[..., 0] + 20
+    blue = picture[..., 0] > picture[..., 2] + 20
+    right = (orange & parts).sum() + (blue & ~parts).sum()
+    assert right / (orange | blue).sum() > 0.98
+    assert (orange & parts).sum() > 0.95 * ((orange | blue) & parts).sum() > 500
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -16,7 +16,12 @@ of camera and projector, and states a 95 % interval for each number. It writes t
 YAML file, whose keys fit into the section material of a configuration, and a plot of the measured
 and the fitted light next to it. The mottle, such as the grain of blasted metal, is fitted, too, but
 not to the scans of a laser. Metal needs --reference, because its base colour and the intensity
-of the projector change the light in the same way. Grooves, films and glass are not fitted."""
+of the projector change the light in the same way. Grooves, films and glass are not fitted.
+
+Without --mask, the command divides the pixels into one to three classes of one material each. If
+there are several, it fits each but that of --reference, which is known. It writes material_1.yaml,
+material_2.yaml and so on, with material_classes.png, a picture of the classes. A smooth surface
+counts as one material, so a print is no class of its own."""
 
 
 def add_material(group) -> None:
@@ -31,7 +36,7 @@ def add_material(group) -> None:
     add_option(
         material, "--mask", Path,
         "PNG masks of the pictures' size, 255 where the parts of one material are and 0 elsewhere.",
-        usual="all pixels except those of --reference", nargs="+", metavar="PNG",
+        usual="the command divides all pixels into classes", nargs="+", metavar="PNG",
     )  # fmt: skip
     add_option(
         material, "--reference", Path,
@@ -55,18 +60,9 @@ def add_material(group) -> None:
 def _material(options: argparse.Namespace) -> None:
     import numpy as np
 
-    from ..base.folder import write_whole
     from ..real.fitted_config import refuse_there
-    from ..real.material import (
-        describe_fit,
-        draw_fit,
-        fit_material,
-        fit_mottle,
-        material_text,
-        open_scan,
-        read_masks,
-        scale_of,
-    )
+    from ..real.material import divide, open_scan, read_masks, scale_of
+    from ..real.material.classes import MOST_CLASSES
 
     if (options.reference is None) != (options.reflectance is None):
         raise GraycastError("--reference and --reflectance belong together: give both or neither")
@@ -74,8 +70,11 @@ def _material(options: argparse.Namespace) -> None:
         raise GraycastError(f"--reflectance is {options.reflectance:g}: give a share from 0 to 1")
     if options.rig is None and options.resolution is not None:
         raise GraycastError("--resolution applies only to a preset: add --rig, or remove it")
-    plot = options.out.with_suffix(".png")
-    refuse_there(options.out, plot)
+    names = [options.out]
+    if options.mask is None:
+        names += [_numbered(options.out, number) for number in range(MOST_CLASSES)]
+        refuse_there(_classes_path(options.out))
+    refuse_there(*names, *(name.with_suffix(".png") for name in names))
     mask = None if options.mask is None else read_masks(options.mask)
     white = None if options.reference is None else read_masks(options.reference)
     scan = open_scan(options.stack, None if options.rig is None else resolve_rig_option(options))
@@ -84,22 +83,84 @@ def _material(options: argparse.Namespace) -> None:
     scale = None
     if white is not None:
         scale = scale_of(scan.observations(white), options.reflectance)
-        mask = ~white if mask is None else mask
-    observations = scan.observations(mask)
+    if mask is None:
+        observations = scan.observations()
+        division = divide(observations, scale=scale, seed=options.seed)
+        if division.count > 1:
+            _fit_classes(options, scan, observations, division, scale=scale, white=white)
+            return
+        print("one class: all pixels agree with one material")
+        mask = None if white is None else ~white
+    area = np.ones(scan.surface_m.shape, dtype=bool) if mask is None else mask
+    _fit(options, scan, scan.observations(mask), area, scale=scale, out=options.out)
+
+
+def _numbered(out: Path, number: int) -> Path:
+    return out.with_name(f"{out.stem}_{number + 1}{out.suffix}")
+
+
+def _classes_path(out: Path) -> Path:
+    return out.with_name(f"{out.stem}_classes.png")
+
+
+def _fit_classes(options: argparse.Namespace, scan, observations, division, *, scale, white):
+    """Write the material of each class and the picture of the classes.
+
+    The class with most pixels of the reference is matt and has the stated reflectance.
+
+    Raises:
+        GraycastError: no class can be fitted.
+    """
+    import numpy as np
+
+    from ..base.folder import write_whole
+    from ..real.material import classes_picture, describe_class, matt_text, scale_of
+
+    reference = None if white is None else division.most(white[tuple(observations.pixel.T)])
+    refusals = []
+    print(f"{division.count} classes of material")
+    for number in range(division.count):
+        print(f"\n{describe_class(observations, division, number)}")
+        members = observations.part(division.members(number))
+        area = np.zeros(scan.surface_m.shape, dtype=bool)
+        area[tuple(members.pixel.T)] = True
+        out = _numbered(options.out, number)
+        if number == reference:
+            matt = scale_of(members, options.reflectance) / scale * options.reflectance
+            print(f"the surface of --reference; as a matt surface, the class reflects {matt:.3f}")
+            write_whole(out, matt_text(options.reflectance, options.stack.name).encode())
+            print(out)
+            continue
+        try:
+            _fit(options, scan, members, area, scale=scale, out=out)
+        except GraycastError as error:
+            print(f"note: no material: {error}")
+            refusals.append(error)
+    if len(refusals) == division.count - (reference is not None):
+        raise refusals[0]
+    path = _classes_path(options.out)
+    write_whole(path, classes_picture(scan.result.light[0], observations, division))
+    print(f"\n{path}")
+
+
+def _fit(options: argparse.Namespace, scan, observations, area, *, scale, out: Path) -> None:
+    """Write the material of some pixels and its plot; `area` marks the pixels that show mottle."""
+    from ..base.folder import write_whole
+    from ..real.material import describe_fit, draw_fit, fit_material, fit_mottle, material_text
+
     fit = fit_material(observations, scale=scale, metal=options.metal, seed=options.seed)
     mottle = None
     if scan.scanner.rig.speckle_contrast:
         print("note: mottle is not fitted, because the speckle of the laser looks like it")
     else:
         try:
-            area = np.ones(scan.surface_m.shape, dtype=bool) if mask is None else mask
             mottle = fit_mottle(scan, area, seed=options.seed)
         except GraycastError as error:
             print(f"note: mottle is not fitted: {error}")
     print("\n".join(describe_fit(fit, mottle)))
     nm = 1e9 * scan.scanner.sensor.wavelength_m
     source = f"{options.stack.as_posix()}, scanned by {scan.scanner.rig.name} with {nm:.0f} nm"
-    write_whole(options.out, material_text(fit, source, mottle).encode())
-    draw_fit(fit, observations, plot)
-    print(options.out)
-    print(plot)
+    write_whole(out, material_text(fit, source, mottle).encode())
+    draw_fit(fit, observations, out.with_suffix(".png"))
+    print(out)
+    print(out.with_suffix(".png"))

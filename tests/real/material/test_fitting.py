@@ -37,6 +37,8 @@ def heap(n, *, widest_rad, seed):
         clipped=np.zeros(n, dtype=bool),
         normal_sigma_rad=np.full(n, 0.004),
         area_px=np.full(n, 10.0),
+        pixel=np.stack([np.arange(n), np.zeros(n, dtype=np.int64)], axis=-1),
+        point_m=np.zeros((n, 3)),
     )
 
 

@@ -3,9 +3,12 @@
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
+from jaxtyping import Float
 
 from ...base.plotting import ACCENT, SECOND, SOFT, caption, legend_below, plain_figure, save_png
+from .classes import Division
 from .fitting import WIDE, FittedValue, MaterialFit
 from .mottle import MottleFit
 from .observing import Reflections
@@ -15,6 +18,8 @@ CERTAIN_LEAD = 5.0  # A smaller difference of log likelihoods does not determine
 SPAN = 0.5  # A wider interval of the base colour is no result.
 MOST_POINTS = 4000
 BINS = 24
+# The colour of each class in the picture of the classes, RGB.
+PAINTS = {"blue": (50, 110, 220), "orange": (240, 140, 30), "green": (40, 170, 90)}
 
 
 def describe_fit(fit: MaterialFit, mottle: MottleFit | None = None) -> list[str]:
@@ -80,6 +85,15 @@ def material_text(fit: MaterialFit, source: str, mottle: MottleFit | None = None
     return "\n".join(lines) + "\n"
 
 
+def matt_text(reflectance: float, source: str) -> str:
+    """Return a matt material of a known reflectance as a section of a configuration."""
+    return (
+        f"# The surface of the reference in {source}, as stated: it is not fitted.\n"
+        f"base_color: [{', '.join([f'{reflectance:g}'] * 3)}]\n"
+        "metallic: 0.0\nroughness: 1.0\nspecular: 0.0\n"
+    )
+
+
 def draw_fit(fit: MaterialFit, observations: Reflections, path: Path) -> None:
     """Draw measured and fitted light over the half angle, as a PNG."""
     count = len(observations)
@@ -105,6 +119,30 @@ def draw_fit(fit: MaterialFit, observations: Reflections, path: Path) -> None:
     caption(ax, f"{fit.kind}: {rough}", "half angle [degrees]", unit)
     legend_below(ax, columns=3)
     save_png(figure, path, dpi=110)
+
+
+def describe_class(observations: Reflections, division: Division, number: int) -> str:
+    """Return a line with a class's share of the pixels, place, and colour in the picture."""
+    rows, columns = observations.pixel[division.members(number)].T
+    (top, bottom), (left, right) = (np.percentile(each, [5, 95]) for each in (rows, columns))
+    return (
+        f"class {number + 1}: {division.share(number):.1%} of the pixels, nine tenths of them in "
+        f"rows {top:.0f} to {bottom:.0f} and columns {left:.0f} to {right:.0f}; "
+        f"{list(PAINTS)[number]} in the picture"
+    )
+
+
+def classes_picture(
+    light: Float[np.ndarray, "h w"], observations: Reflections, division: Division
+) -> bytes:
+    """Return the scan's light as a PNG, with each class in its colour and the rest in grey."""
+    bright = np.clip(light / max(float(np.percentile(light, 99)), 1e-9), 0, 1) ** 0.5
+    picture = np.repeat(120 * bright[..., None], 3, axis=-1)
+    for number, paint in zip(range(division.count), PAINTS.values(), strict=False):
+        row, column = observations.pixel[division.members(number)].T
+        picture[row, column] = (0.4 + 0.6 * bright[row, column])[:, None] * paint
+    encoded = np.ascontiguousarray(picture.astype(np.uint8)[..., ::-1])
+    return cv2.imencode(".png", encoded)[1].tobytes()
 
 
 def _doubt(fit: MaterialFit) -> str:

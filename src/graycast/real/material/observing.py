@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ...base.frames import transform_points
 from ...camera.decode import CodeMap, Levels, Mark, Reason
@@ -39,6 +39,8 @@ class Reflections:
     clipped: Bool[np.ndarray, " n"]
     normal_sigma_rad: Float[np.ndarray, " n"]
     area_px: Float[np.ndarray, " n"]  # The number of pixels that determine the normal
+    pixel: Int[np.ndarray, "n 2"]  # Row and column
+    point_m: Float[np.ndarray, "n 3"]  # Place in the camera's frame
 
     def __len__(self) -> int:
         return len(self.light)
@@ -101,6 +103,8 @@ def observe(
             clipped=clipped[keep],
             normal_sigma_rad=normals.sigma_rad[keep],
             area_px=normals.area_px[keep],
+            pixel=np.argwhere(keep),
+            point_m=point_m,
         )
     facing = (observations.normal * observations.to_camera).sum(axis=-1)
     good = (facing > LEAST_COSINE) & (observations.light_cosine > LEAST_COSINE) & (factor > 0)

@@ -68,6 +68,20 @@ class SurfaceModel:
         scatter: float,
     ) -> float:
         """Return the log likelihood of all windows, and of the scale."""
+        density = self.densities(nodes, color, scale, scatter)
+        score = self.weight * float(density.sum())
+        if self.scale is not None:
+            score -= 0.5 * (math.log(scale / self.scale) / SCALE_SIGMA) ** 2
+        return score
+
+    def densities(
+        self,
+        nodes: Float[np.ndarray, "colors 2 n"],
+        color: float,
+        scale: float,
+        scatter: float,
+    ) -> Float[np.ndarray, " n"]:
+        """Return the log density of each pixel's light; if clipped, that of brighter light."""
         own = self.observations
         mean, variance = np.tensordot(color_weights(color), nodes, axes=1)
         mean, variance = np.maximum(mean, 1e-9), np.maximum(variance, 0)
@@ -75,10 +89,7 @@ class SurfaceModel:
         off = (own.light - scale * mean) / sigma
         density = _LOG_PEAK - 0.5 * (FREEDOM + 1) * np.log1p(off**2 / FREEDOM) - np.log(sigma)
         density[own.clipped] = _log_above(off[own.clipped])
-        score = self.weight * float(density.sum())
-        if self.scale is not None:
-            score -= 0.5 * (math.log(scale / self.scale) / SCALE_SIGMA) ** 2
-        return score
+        return density
 
 
 _LOG_PEAK = (

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from ..base import array_types as arrays
 from ..base.errors import ConfigError
 from ..base.public_value import public_value
 from ..base.settings import check_fields
@@ -121,7 +122,7 @@ def take(
     radiance: Radiance,
     *,
     seed: int,
-    metered: Bool[np.ndarray, "h w"] | None = None,
+    metered: arrays.BoolArray_h_w | None = None,
 ) -> Capture:
     """Return the measuring camera's stack: one picture per pattern, with exposures merged.
 

@@ -18,9 +18,10 @@ from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
-from jaxtyping import Float, Num, UInt8, UInt16
+from jaxtyping import Float
 from pydantic import Field
 
+from ..base import array_types as arrays
 from ..base.kernels import kernel
 from ..base.public_value import public_value
 from ..base.settings import Level, Positive, check_fields
@@ -138,9 +139,7 @@ class SensorSpec:
     def _full_well_margin_e(self) -> float:
         return SATURATION_SIGMAS * math.hypot(self.read_noise_e, self.dsnu_e)
 
-    def variance_dn2(
-        self, stored_dn: Num[np.ndarray, "*n"] | float
-    ) -> Float[np.ndarray, "*n"] | float:
+    def variance_dn2(self, stored_dn: arrays.NumArray_any | float) -> arrays.FloatArray_any | float:
         """Return the temporal noise variance of a stored value y [DN^2].
 
         The photon transfer law is `K (y - offset) + K^2 read^2 + 1/12`. Both light and dark current
@@ -165,9 +164,9 @@ class Capture:
     exposures that were taken, even those that no pixel uses.
     """
 
-    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
+    frames: arrays.UInt8or16Array_n_h_w
     sensor: SensorSpec
-    exposure_s: float | Float[np.ndarray, "h w"]
+    exposure_s: float | arrays.FloatArray_h_w
     reference_s: float = math.nan  # NaN becomes the shortest exposure time.
     times_s: tuple[float, ...] = ()  # An empty tuple becomes the times that pixels have.
 

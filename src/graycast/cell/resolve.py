@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from ..base import array_types as arrays
 from ..base.errors import ConfigError
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.public_value import public_value
@@ -125,7 +126,7 @@ class Cell:
         own = tuple(sorted({*self.own, *changes}))
         return replace(self, scanner=scanner, own=own)
 
-    def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
+    def patterns(self) -> arrays.UInt8Array_n_ph_pw:
         """Return grey levels for the projector, with its response inverted."""
         return patterns_of(self.scanner)
 

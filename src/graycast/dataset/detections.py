@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 from pycocotools import mask as coco_mask
 
+from ..base import array_types as arrays
 from ..base.errors import GraycastError
 from ..base.file_limits import check_runs, parse_json
 from ..base.public_value import public_value
@@ -35,9 +35,9 @@ class Detections:
     """
 
     scene_id: int
-    score: Float[np.ndarray, " n"]
-    obj_id: Int[np.ndarray, " n"]
-    box_px: Float[np.ndarray, "n 4"]
+    score: arrays.FloatArray_n
+    obj_id: arrays.IntArray_n
+    box_px: arrays.FloatArray_n_4
     mask: tuple[Mapping[str, Any], ...] | None = None
 
     def __post_init__(self) -> None:

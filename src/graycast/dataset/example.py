@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from ..base.array_types import Bool, Float, Float32, Int, UInt8, UInt16
+from ..base import array_types as arrays
+from ..base.array_types import Bool, Float, Float32, UInt8, UInt16
 from ..base.errors import DatasetError
 from ..base.frames import rigid
 from ..base.public_value import public_value
@@ -41,19 +42,19 @@ class Example:
     """
 
     scene_id: int
-    K: Float[np.ndarray, "3 3"] | None = None
+    K: arrays.FloatArray_3_3 | None = None
     distortion: tuple[float, ...] | None = None
-    rgb: UInt8[np.ndarray, "h w 3"] | None = None
-    gray: UInt8[np.ndarray, "h w"] | None = None
-    depth_m: Float32[np.ndarray, "h w"] | None = None
-    scanner_depth_m: Float32[np.ndarray, "h w"] | None = None
-    instance: Int[np.ndarray, " n"] | None = None
-    obj_id: Int[np.ndarray, " n"] | None = None
-    mask: Bool[np.ndarray, "n h w"] | None = None
-    box_px: Float32[np.ndarray, "n 4"] | None = None
-    T_cam_part: Float[np.ndarray, "n 4 4"] | None = None
-    visib_fract: Float[np.ndarray, " n"] | None = None
-    ignored: Bool[np.ndarray, " n"] | None = None
+    rgb: arrays.UInt8Array_h_w_3 | None = None
+    gray: arrays.UInt8Array_h_w | None = None
+    depth_m: arrays.Float32Array_h_w | None = None
+    scanner_depth_m: arrays.Float32Array_h_w | None = None
+    instance: arrays.IntArray_n | None = None
+    obj_id: arrays.IntArray_n | None = None
+    mask: arrays.BoolArray_n_h_w | None = None
+    box_px: arrays.Float32Array_n_4 | None = None
+    T_cam_part: arrays.FloatArray_n_4_4 | None = None
+    visib_fract: arrays.FloatArray_n | None = None
+    ignored: arrays.BoolArray_n | None = None
 
     @property
     def camera(self) -> "Optics":
@@ -72,7 +73,7 @@ class Example:
             )
         return optics_of(self.K, depth.shape, self.distortion or (0.0,) * 5)
 
-    def points(self) -> Float[np.ndarray, "n 3"]:
+    def points(self) -> arrays.FloatArray_n_3:
         """Return the measured point cloud [m] in the camera frame; without a scan, the true one.
 
         Raises:
@@ -85,7 +86,7 @@ class Example:
         assert depth_m is not None, "the camera refuses an example without depth"
         return points(camera, depth_m)[np.isfinite(depth_m)]
 
-    def hidden(self, min_visibility: float) -> Bool[np.ndarray, " n"]:
+    def hidden(self, min_visibility: float) -> arrays.BoolArray_n:
         """Return the instances that do not count: ignored or less visible than the threshold.
 
         If the visible fractions are unknown, only the ignored ones are hidden.

@@ -18,9 +18,7 @@ Each module imports only from those above it:
     trial_picture  the process of `trial`
 """
 
-import numpy as np
-from jaxtyping import UInt8
-
+from ..base import array_types as arrays
 from ..world.scene import Layout, Scene
 from .radiance import (
     Denoiser,
@@ -110,7 +108,7 @@ def open_renderer(
 def render(
     scene: Scene,
     layout: Layout,
-    patterns: UInt8[np.ndarray, "n ph pw"],
+    patterns: arrays.UInt8Array_n_ph_pw,
     *,
     quality: Quality | None = None,
     seed: int,

@@ -5,19 +5,23 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float
 from pydantic import Field
 
+from ..base import array_types as arrays
 from ..base.mask_box import overlap
 from ..base.public_value import public_value
 from ..base.settings import check_fields
 from ..rig.optics import Optics
 from ..world.scene import Layout, Scene
 
-Patterns = UInt8[np.ndarray, "n ph pw"]  # Grey levels; 255 is white.
+Patterns = arrays.UInt8Array_n_ph_pw  # Grey levels; 255 is white.
 DenoiserName = Literal["none", "oidn", "optix"]
-# A denoiser takes radiance, albedo and normals, each (h, w, 3) float32, and returns radiance.
-Denoiser = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+# A denoiser takes radiance, albedo and normals, and returns radiance.
+Denoiser = Callable[
+    [arrays.Float32Array_h_w_3, arrays.Float32Array_h_w_3, arrays.Float32Array_h_w_3],
+    arrays.Float32Array_h_w_3,
+]
 Samples = Annotated[int, Field(ge=1, le=65536, description="The number of light paths per pixel.")]
 PathDepth = Annotated[
     int,
@@ -91,14 +95,14 @@ class Radiance:
     most half a pixel. It is None if no pattern was rendered.
     """
 
-    pattern: Float[np.ndarray, "n h w"]
-    white: Float[np.ndarray, "h w"]
-    ambient: Float[np.ndarray, "h w"]
-    white_rgb: Float[np.ndarray, "h w 3"]
-    ambient_rgb: Float[np.ndarray, "h w 3"]
-    albedo: Float[np.ndarray, "h w 3"]  # Base reflectance of the first surface, for denoisers
+    pattern: arrays.FloatArray_n_h_w
+    white: arrays.FloatArray_h_w
+    ambient: arrays.FloatArray_h_w
+    white_rgb: arrays.FloatArray_h_w_3
+    ambient_rgb: arrays.FloatArray_h_w_3
+    albedo: arrays.FloatArray_h_w_3  # Base reflectance of the first surface, for denoisers
     path_noise: PathNoise | None = None
-    place_px: Float[np.ndarray, "2 h w"] | None = None
+    place_px: arrays.FloatArray_2_h_w | None = None
 
     def __post_init__(self) -> None:
         for name in ("pattern", "white", "ambient", "white_rgb", "ambient_rgb", "albedo"):
@@ -149,9 +153,9 @@ class GroundTruth:
     layout, or -1 for anything but a part. `amodal[i]` is the silhouette of instance i.
     """
 
-    depth_m: Float[np.ndarray, "h w"]
-    normal: Float[np.ndarray, "h w 3"]
-    instance: Int[np.ndarray, "h w"]
+    depth_m: arrays.FloatArray_h_w
+    normal: arrays.FloatArray_h_w_3
+    instance: arrays.IntArray_h_w
     amodal: tuple[Silhouette, ...]
 
     def __post_init__(self) -> None:
@@ -185,7 +189,7 @@ class Renderer(Protocol):
     def render(
         self, scene: Scene, layout: Layout, pattern: Patterns, *, quality: Quality, seed: int
     ) -> Rendering:
-        """Render every pattern (grey levels, 255 is white) and the ground truth.
+        """Render every pattern (UInt8Array_n_ph_pw, 255 is white) and the ground truth.
 
         Raises:
             ValueError: the patterns do not have the size of the scene's projector, or this renderer

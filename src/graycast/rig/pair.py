@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from pydantic import AfterValidator, Field
 
+from ..base import array_types as arrays
 from ..base.frames import (
     axis_rotation,
     inverse,
@@ -63,7 +64,7 @@ class Rig:
     ]
     camera: Optics
     projector: Optics
-    T_cam_proj: Float[np.ndarray, "4 4"]
+    T_cam_proj: arrays.FloatArray_4_4
     near_m: Annotated[Positive, Field(description="Nearest depth of the working range in metres.")]
     far_m: Annotated[Positive, Field(description="Farthest depth of the working range in metres.")]
     intensity_w_sr: Annotated[
@@ -142,7 +143,7 @@ class Rig:
     ] = math.inf
 
     @property
-    def T_proj_cam(self) -> Float[np.ndarray, "4 4"]:
+    def T_proj_cam(self) -> arrays.FloatArray_4_4:
         """Pose of the camera in projector coordinates: maps camera to projector points [m]."""
         return inverse(self.T_cam_proj)
 
@@ -283,11 +284,11 @@ def common_depths_m(
 def place(
     rig: Rig,
     *,
-    target_m: Float[np.ndarray, "3"],
+    target_m: arrays.FloatArray_3,
     distance_m: float,
     tilt_rad: float,
     azimuth_rad: float,
-) -> Float[np.ndarray, "4 4"]:
+) -> arrays.FloatArray_4_4:
     """Return `T_world_cam` of a rig that hangs above a target and points at it.
 
     The middle of the baseline is `distance_m` from the target. The bisector of the two pictures'

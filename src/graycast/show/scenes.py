@@ -5,10 +5,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import UInt8
 from PIL import Image, ImageShow
 
+from ..base import array_types as arrays
 from ..base.errors import GraycastError
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.public_value import public_value
@@ -42,7 +41,7 @@ class SceneResult:
         return self.shots[0].sample.layout
 
     @property
-    def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
+    def rgb(self) -> arrays.UInt8Array_h_w_3:
         """Colour picture in sRGB."""
         return self.shots[0].sample.rgb
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
 from pydantic import Field
 
+from ..base import array_types as arrays
 from ..base.frames import is_rigid
 from ..base.public_value import public_value
 from ..base.settings import Level, Positive, Vector, check_fields
@@ -46,7 +47,7 @@ class Bin:
         check_fields(self)
 
     @property
-    def bounds_m(self) -> Float[np.ndarray, "2 3"]:
+    def bounds_m(self) -> arrays.FloatArray_2_3:
         """Lowest and highest corner of the whole bin."""
         if self.mesh is not None:
             return self.mesh.bounds_m
@@ -168,7 +169,7 @@ class Scene:
     """
 
     rig: Rig
-    T_world_cam: Float[np.ndarray, "4 4"]
+    T_world_cam: arrays.FloatArray_4_4
     parts: tuple[Part, ...] = ()
     bin: Bin | None = None
     table: Material = field(default_factory=lambda: Material(base_color=(0.35, 0.35, 0.36)))
@@ -201,8 +202,8 @@ class Layout:
     inside a curved surface by half a millimetre.
     """
 
-    T_world_part: Float[np.ndarray, "n 4 4"]
-    part_index: Int[np.ndarray, " n"]
+    T_world_part: arrays.FloatArray_n_4_4
+    part_index: arrays.IntArray_n
     at_rest: bool = True
     last_motion_m: float = 0.0
     deepest_penetration_m: float = 0.0

@@ -5,9 +5,9 @@ from enum import IntFlag
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
 from pydantic import Field
 
+from ...base import array_types as arrays
 from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...rig.optics import Optics, mask_points
@@ -242,13 +242,13 @@ class CodeMap:
     `Mark`; it is None if they were not stored.
     """
 
-    column: Float[np.ndarray, "h w"]
-    row: Float[np.ndarray, "h w"]
-    sigma_column: Float[np.ndarray, "h w"]
-    sigma_row: Float[np.ndarray, "h w"]
-    modulation: Float[np.ndarray, "h w"]
-    reason: UInt8[np.ndarray, "h w"]
-    mark: UInt8[np.ndarray, "h w"] | None = None
+    column: arrays.FloatArray_h_w
+    row: arrays.FloatArray_h_w
+    sigma_column: arrays.FloatArray_h_w
+    sigma_row: arrays.FloatArray_h_w
+    modulation: arrays.FloatArray_h_w
+    reason: arrays.UInt8Array_h_w
+    mark: arrays.UInt8Array_h_w | None = None
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -264,21 +264,21 @@ class DepthMap:
     Both are NaN where `reason` is not DECODED. `camera` has the optics of the map's pixels.
     """
 
-    depth_m: Float[np.ndarray, "h w"]
-    sigma_m: Float[np.ndarray, "h w"]
-    reason: UInt8[np.ndarray, "h w"]
+    depth_m: arrays.FloatArray_h_w
+    sigma_m: arrays.FloatArray_h_w
+    reason: arrays.UInt8Array_h_w
     camera: Optics
 
     def __post_init__(self) -> None:
         for map_of_pixels in (self.depth_m, self.sigma_m, self.reason):
             map_of_pixels.flags.writeable = False
 
-    def is_wrong(self, true_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    def is_wrong(self, true_m: arrays.FloatArray_h_w) -> arrays.BoolArray_h_w:
         """Return a mask of the pixels whose depth is wrong by more than both limits."""
         off_m = np.abs(self.depth_m - true_m)
         with np.errstate(invalid="ignore"):  # NaN means no depth or no surface.
             return (off_m > WRONG_M) & (off_m > WRONG_SIGMAS * self.sigma_m)
 
-    def points(self) -> Float[np.ndarray, "n 3"]:
+    def points(self) -> arrays.FloatArray_n_3:
         """Return the measured points [m] in the camera frame, row by row."""
         return mask_points(self.camera, self.depth_m, np.isfinite(self.depth_m))

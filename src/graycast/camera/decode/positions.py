@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
+from ...base import array_types as arrays
 from ...base.errors import DecodeError
 from ...base.kernels import kernel
 from ...rig.pattern import AXES, Axis, Code
@@ -37,7 +38,7 @@ LOW_MODULATION = int(Reason.LOW_MODULATION)  # As a plain number it keeps the lo
 
 
 def decode(
-    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    frames: arrays.UInt8or16Array_n_h_w,
     code: Code,
     spec: DecodeSpec,
     levels: Levels,

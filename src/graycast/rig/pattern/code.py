@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from ...base import array_types as arrays
 from ...base.public_value import public_value
 from ...base.settings import check_fields
 from .frame import AXES, Axis, Frame, Kind, level_share
 
-GreyLevels = Callable[[Float[np.ndarray, "*n"]], UInt8[np.ndarray, "*n"]]
+GreyLevels = Callable[[arrays.FloatArray_any], arrays.UInt8Array_any]
 
 
 @public_value
@@ -86,12 +87,12 @@ class Code:
         """Return the number of projector pixels along an axis."""
         return {"column": self.width_px, "row": self.height_px}[axis]
 
-    def render(self, grey_levels: GreyLevels | None = None) -> UInt8[np.ndarray, "n ph pw"]:
+    def render(self, grey_levels: GreyLevels | None = None) -> arrays.UInt8Array_n_ph_pw:
         """Return the pictures to project, in the order of `frames`.
 
         Args:
-            grey_levels: maps a share of white light to a grey level, as the inverse of the
-                projector's response; None: grey level proportional to the share.
+            grey_levels: maps shares of white light (FloatArray_any) to grey levels
+                (UInt8Array_any), as the inverse of the projector's response; None: in proportion.
         """
         to_levels = _proportional if grey_levels is None else grey_levels
         image = np.empty((len(self.frames), self.height_px, self.width_px), dtype=np.uint8)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from ...base import array_types as arrays
 from ...base.public_value import public_value
 from ...camera.crop import Crop, crop
 from ...rig.optics import Optics
@@ -68,11 +69,11 @@ NOTHING = PoseMatch(T_cam_part=None, score=0.0)
 
 def find_pose(
     model: PoseModel,
-    depth_m: Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"],
+    depth_m: arrays.FloatArray_h_w,
     camera: Optics,
-    mask: Bool[np.ndarray, "h w"],
+    mask: arrays.BoolArray_h_w,
     *,
-    near: Float[np.ndarray, "4 4"] | None = None,
+    near: arrays.FloatArray_4_4 | None = None,
 ) -> PoseMatch:
     """Find the pose of a part whose visible outline is known.
 
@@ -106,9 +107,9 @@ def find_pose_in_box(
 
 def find_poses(
     model: PoseModel,
-    depth_m: Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"],
+    depth_m: arrays.FloatArray_h_w,
     camera: Optics,
-    masks: Sequence[Bool[np.ndarray, "h w"]] | Bool[np.ndarray, "n h w"],
+    masks: Sequence[arrays.BoolArray_h_w] | arrays.BoolArray_n_h_w,
     *,
     threads: int = 1,
 ) -> list[PoseMatch]:

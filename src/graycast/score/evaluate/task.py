@@ -54,7 +54,7 @@ class Task:
 
 
 def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:
-    """Return all figures of results, and a function that reads the pictures.
+    """Return all figures of results, and a function that reads a picture (UInt8Array_h_w_3).
 
     Args:
         progress: counts scenes as they are read.

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float
 from pydantic import Field
 
+from ...base import array_types as arrays
 from ...base.public_value import public_value
 from ...base.settings import Positive, Share, Vector, check_fields
 
@@ -79,7 +80,7 @@ class Material:
     """
 
     base_color: Color = (0.5, 0.5, 0.5)
-    texture: UInt8[np.ndarray, "h w 3"] | None = None
+    texture: arrays.UInt8Array_h_w_3 | None = None
     metallic: Share = 0.0
     roughness: Roughness = 0.5
     specular: Share = 0.5
@@ -88,7 +89,7 @@ class Material:
     grain: Grain | None = None
     transparent: Transparent | None = None
     color_depth_m: Positive = 0.01
-    roughness_map: UInt8[np.ndarray, "rows columns"] | None = None
+    roughness_map: arrays.UInt8Array_rows_columns | None = None
     film: Roughness | None = None
     diffuse: Share = 0.0
     mottle: Mottle = 0.0
@@ -193,7 +194,7 @@ class Material:
         return self.roughness**2 * aspect, self.roughness**2 / aspect
 
     @property
-    def local_roughness(self) -> Float[np.ndarray, "rows columns"]:
+    def local_roughness(self) -> arrays.FloatArray_rows_columns:
         """The roughness at each texel of the map; a single value without a map."""
         share = np.ones((1, 1)) if self.roughness_map is None else self.roughness_map / 255
         return np.maximum(self.roughness * share, SMOOTHEST)
@@ -219,10 +220,10 @@ class Mesh:
     vertices and a watertight mesh stays watertight. Without normals a mesh is shaded flat.
     """
 
-    vertices_m: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    corner_uv: Float[np.ndarray, "f 3 2"] | None = None
-    corner_normals: Float[np.ndarray, "f 3 3"] | None = None
+    vertices_m: arrays.FloatArray_v_3
+    faces: arrays.IntArray_f_3
+    corner_uv: arrays.FloatArray_f_3_2 | None = None
+    corner_normals: arrays.FloatArray_f_3_3 | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -240,20 +241,20 @@ class Mesh:
             raise ValueError("the mesh has vertices that are not finite")
 
     @property
-    def bounds_m(self) -> Float[np.ndarray, "2 3"]:
+    def bounds_m(self) -> arrays.FloatArray_2_3:
         """Lowest and highest corner of the axis-aligned box."""
         return np.stack([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)])
 
     @property
-    def extent_m(self) -> Float[np.ndarray, "3"]:
+    def extent_m(self) -> arrays.FloatArray_3:
         return np.ptp(self.vertices_m, axis=0)
 
     @property
-    def face_area_m2(self) -> Float[np.ndarray, " f"]:
+    def face_area_m2(self) -> arrays.FloatArray_f:
         return np.linalg.norm(self._face_cross_m2, axis=1) / 2
 
     @property
-    def face_normal(self) -> Float[np.ndarray, "f 3"]:
+    def face_normal(self) -> arrays.FloatArray_f_3:
         """Outward normals of length 1; zero for a face without area."""
         cross = self._face_cross_m2
         length = np.linalg.norm(cross, axis=1, keepdims=True)

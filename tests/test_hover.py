@@ -36,26 +36,45 @@ def arrays_in(hint):
 
 
 def annotations(function):
-    return inspect.get_annotations(inspect.unwrap(function)).values()
+    return list(inspect.get_annotations(inspect.unwrap(function)).values())
+
+
+def values_in(hint):
+    """Return the classes with the decorator `public_value` in an annotation."""
+    if inspect.isclass(hint) and hint.__module__.startswith("graycast."):
+        return {hint} if hasattr(hint.__init__, "__wrapped__") else set()
+    return set().union(*map(values_in, hint if isinstance(hint, list) else get_args(hint)))
+
+
+def hints_of(kind):
+    """Return the annotations of each public attribute and method of a class."""
+    hints = {}
+    for base in kind.__mro__:
+        if base.__module__.startswith("graycast."):
+            hints |= {name: [hint] for name, hint in inspect.get_annotations(base).items()}
+            for name, member in vars(base).items():
+                function = getattr(member, "fget", getattr(member, "__func__", member))
+                if inspect.isfunction(function):
+                    hints[name] = annotations(function)
+    return {name: hint for name, hint in hints.items() if not name.startswith("_")}
 
 
 def public_arrays():
-    """Return the arrays that each public attribute, method and function has, by expression."""
-    places = {}
-    for name in gc.__all__:
-        value = getattr(gc, name)
-        if inspect.isfunction(value):
-            places[f"gc.{name}"] = arrays_in(list(annotations(value)))
-        for kind in value.__mro__ if inspect.isclass(value) else ():
-            if not kind.__module__.startswith("graycast."):
-                continue
-            for field, hint in inspect.get_annotations(kind).items():
-                places[f"gc.{name}.{field}"] = arrays_in(hint)
-            for field, member in vars(kind).items():
-                function = getattr(member, "fget", getattr(member, "__func__", member))
-                if inspect.isfunction(function):
-                    places[f"gc.{name}.{field}"] = arrays_in(list(annotations(function)))
-    return {place: arrays for place, arrays in places.items() if arrays and "._" not in place}
+    """Return the arrays of each public attribute, method and function, by its expression.
+
+    The classes of values that public ones contain, and that public functions return, are public.
+    """
+    public = {f"gc.{name}": getattr(gc, name) for name in gc.__all__}
+    functions = {name: one for name, one in public.items() if inspect.isfunction(one)}
+    kinds = {name: one for name, one in public.items() if inspect.isclass(one)}
+    hints = {name: annotations(one) for name, one in functions.items()}
+    members = [list(hints_of(one).values()) for one in kinds.values()]
+    reached = values_in([*hints.values(), *members])
+    for one in reached - set(kinds.values()):
+        kinds[f"{one.__module__}.{one.__qualname__}"] = one
+    for name, one in kinds.items():
+        hints |= {f"{name}.{field}": hint for field, hint in hints_of(one).items()}
+    return {place: arrays for place, hint in hints.items() if (arrays := arrays_in(hint))}
 
 
 def send(server, message):
@@ -124,11 +143,16 @@ def test_an_editor_shows_dtype_and_axes_of_each_public_array(tmp_path):
     program = ROOT / ".venv-javascript/node_modules/pyright/langserver.index.js"
     if node is None or not program.is_file():
         pytest.skip("needs Pyright, which needs npm: make javascript")
+    pytest.importorskip("torch", reason="needs torch: make extras")
     expected = public_arrays()
-    assert len(expected) > 60 and {"gc.DepthMap.depth_m", "gc.find_pose"} <= set(expected)
-    lines = ["import graycast as gc"]
-    for k, place in enumerate(expected):
-        owner, _, field = place.rpartition(".")
+    assert len(expected) > 80
+    assert {"gc.find_pose", "gc.DepthMap.depth_m", "graycast.rig.optics.Optics.K"} <= set(expected)
+    owners = {place: place.rpartition(".")[0] for place in sorted(expected)}
+    modules = {owner.rpartition(".")[0] for owner in owners.values() if owner[:3] != "gc."} - {""}
+    lines = ["import graycast as gc", *(f"import {module}" for module in sorted(modules))]
+    first = len(lines)
+    for k, (place, owner) in enumerate(owners.items()):
+        field = place.rpartition(".")[2]
         lines.append(place if owner == "gc" else f"def use_{k}(it: {owner}): it.{field}")
     user_file = tmp_path / "user.py"
     user_file.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -138,7 +162,7 @@ def test_an_editor_shows_dtype_and_axes_of_each_public_array(tmp_path):
         limit = threading.Timer(LONGEST_S, server.kill)
         limit.start()
         try:
-            texts = hovers(server, user_file)[1:]
+            texts = hovers(server, user_file)[first:]
         finally:
             limit.cancel()
             server.kill()
@@ -148,8 +172,8 @@ def test_an_editor_shows_dtype_and_axes_of_each_public_array(tmp_path):
         for text in texts
     ]
     missing = {
-        place: (arrays - has, text)
-        for (place, arrays), has, text in zip(expected.items(), shown, texts, strict=True)
-        if not arrays <= has
+        place: (expected[place] - has, text)
+        for place, has, text in zip(owners, shown, texts, strict=True)
+        if not expected[place] <= has
     }
     assert not missing

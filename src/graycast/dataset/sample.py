@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
 
+from ..base import array_types as arrays
 from ..base.public_value import public_value
 from ..camera.decode import CodeMap, DepthMap
 from ..camera.scanner import Scanner
@@ -58,10 +58,10 @@ class Sample:
     scene: Scene
     layout: Layout
     truth: GroundTruth
-    rgb: UInt8[np.ndarray, "h w 3"]
-    gray: UInt8[np.ndarray, "h w"]
+    rgb: arrays.UInt8Array_h_w_3
+    gray: arrays.UInt8Array_h_w
     scanner_depth: DepthMap
-    modulation: Float[np.ndarray, "h w"]
+    modulation: arrays.FloatArray_h_w
     manifest: Mapping[str, Any]
     raw: Raw | None = None
     sensor: str = ""

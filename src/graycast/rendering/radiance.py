@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
 from pydantic import Field
 
 from ..base import array_types as arrays
@@ -68,8 +67,8 @@ class PathNoise:
     direct light, and `stray` the stripes in indirect light, relative to stripes in direct light.
     """
 
-    place_sigma_px: Float[np.ndarray, "2 h w"]
-    stray: Float[np.ndarray, "2 h w"]
+    place_sigma_px: arrays.FloatArray_2_h_w
+    stray: arrays.FloatArray_2_h_w
 
     def __post_init__(self) -> None:
         for array in (self.place_sigma_px, self.stray):
@@ -122,7 +121,7 @@ class Silhouette:
 
     left_px: int
     top_px: int
-    mask: Bool[np.ndarray, "bh bw"]
+    mask: arrays.BoolArray_bh_bw
 
     def __post_init__(self) -> None:
         self.mask.flags.writeable = False
@@ -135,7 +134,7 @@ class Silhouette:
             return Silhouette(left_px=0, top_px=0, mask=np.zeros((0, 0), dtype=bool))
         return Silhouette(left_px=image[1].start, top_px=image[0].start, mask=mask)
 
-    def in_image(self, height_px: int, width_px: int) -> Bool[np.ndarray, "h w"]:
+    def in_image(self, height_px: int, width_px: int) -> arrays.BoolArray_h_w:
         """Return the silhouette as a mask of the whole image."""
         image = np.zeros((height_px, width_px), dtype=bool)
         inside, own = overlap(self.top_px, self.left_px, self.mask.shape, image.shape)

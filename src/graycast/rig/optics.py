@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import AfterValidator, Field
 
+from ..base import array_types as arrays
 from ..base.frames import pixel_grid
 from ..base.public_value import public_value
 from ..base.settings import Finite, Level, Positive, check_fields
@@ -109,7 +110,7 @@ class Optics:
         check_fields(self)
 
     @property
-    def K(self) -> Float[np.ndarray, "3 3"]:
+    def K(self) -> arrays.FloatArray_3_3:
         """Camera matrix."""
         return np.array(
             [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int, Num, UInt8
+from jaxtyping import Float, Num, UInt8
 
+from ...base import array_types as arrays
 from ...base.errors import DecodeError
 from ...base.public_value import public_value
 from ...rig.optics import mask_points
@@ -54,10 +55,10 @@ class Cloud:
     was uncertain in all pixels). Any other cloud has `sigma_m`, the standard deviation of z [m].
     """
 
-    point_m: Float[np.ndarray, "n 3"]
-    color: UInt8[np.ndarray, "n 3"]
-    sure_pixels: Int[np.ndarray, " n"] | None = None
-    sigma_m: Float[np.ndarray, " n"] | None = None
+    point_m: arrays.FloatArray_n_3
+    color: arrays.UInt8Array_n_3
+    sure_pixels: arrays.IntArray_n | None = None
+    sigma_m: arrays.FloatArray_n | None = None
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -75,7 +76,7 @@ class StackResult:
 
     code: Code
     codes: CodeMap
-    picture: UInt8[np.ndarray, "h w 3"]
+    picture: arrays.UInt8Array_h_w_3
     levels: MeasuredLevels
     figures: StackFigures
     warnings: tuple[str, ...]
@@ -83,7 +84,7 @@ class StackResult:
     seconds: dict[str, float]
     depth: DepthMap | None = None
     cloud: Cloud | None = None
-    light: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None = None
+    light: tuple[arrays.FloatArray_h_w, arrays.FloatArray_h_w] | None = None
 
 
 def decode_stack(

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
+from ...base import array_types as arrays
 from ...base.errors import ConfigError
 from ...base.frames import axis_rotation, rigid
 from ...base.progress import UNWATCHED, ProgressMeter
@@ -36,7 +36,7 @@ class PickCell:
         return bin_of(self.cell.scene)
 
     @property
-    def T_world_base(self) -> Float[np.ndarray, "4 4"]:
+    def T_world_base(self) -> arrays.FloatArray_4_4:
         robot = self.config.robot
         turn = axis_rotation("z", np.radians(robot.base_yaw_deg))
         return rigid(turn, np.array(robot.base_m, dtype=np.float64))

@@ -50,7 +50,7 @@ class PoseMatch:
         missed: pixels of the detection that the part does not cover.
     """
 
-    T_cam_part: Float[np.ndarray, "4 4"] | None
+    T_cam_part: arrays.FloatArray_4_4 | None
     score: float
     visible: int = 0
     touching: int = 0

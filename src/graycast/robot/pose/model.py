@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ...base import array_types as arrays
 from ...base.frames import rigid
 from ...base.public_value import public_value
 from ...world.parts import Mesh, Symmetry
@@ -40,10 +41,10 @@ class PoseModel:
     points: OrientedPoints
     pairs: PairTable
     surface: Closest
-    key_m: Float[np.ndarray, "k 3"]
-    alike: Float[np.ndarray, "s 4 4"]
+    key_m: arrays.FloatArray_k_3
+    alike: arrays.FloatArray_s_4_4
     symmetry: Symmetry
-    turns: Float[np.ndarray, "t 4 4"]
+    turns: arrays.FloatArray_t_4_4
 
     def __post_init__(self) -> None:
         surface, pairs = self.surface, self.pairs

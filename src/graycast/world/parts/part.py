@@ -298,7 +298,7 @@ class Symmetry:
     rotational symmetry.
     """
 
-    discrete: tuple[Float[np.ndarray, "4 4"], ...] = ()
+    discrete: tuple[arrays.FloatArray_4_4, ...] = ()
     continuous: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
 
 

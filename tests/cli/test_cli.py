@@ -93,7 +93,8 @@ OPTIONS = {
     "real fit-bin": "views --config --out --rgb --intrinsics --distortion --scale --size "
     "--ray-length --inner --wall --azimuth --floor-reflectance --white --black --cluttered "
     "--pose-only --bend --seed --device",
-    "real material": "stack --rig --resolution --mask --reference --reflectance --metal --out --seed",
+    "real material": "stack --rig --resolution --mask --reference --reflectance --metal --out "
+    "--seed",
     "doctor": "",
     "schema": "kind",
 }

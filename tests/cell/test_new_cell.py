@@ -147,7 +147,9 @@ def test_only_one_surface_is_accepted(capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("content", "density_kg_m3", "mass"), [(FITTED, 7850, "283 g"), (PLASTIC, 1000, "36 g")]
+    ("content", "density_kg_m3", "mass"),
+    [(FITTED, 7850, "283 g"), (PLASTIC, 1000, "36 g")],
+    ids=["metal", "plastic"],
 )
 def test_a_mesh_with_a_fitted_metal_is_as_heavy_as_steel(
     tmp_path, monkeypatch, capsys, content, density_kg_m3, mass

@@ -61,7 +61,7 @@ def add_first(commands) -> None:
         "--surface-from",
         type=Path,
         metavar="FILE",
-        help="A material that graycast real material fitted to a scan, in place of --surface.",
+        help="The material that graycast real material fitted to a scan of the part.",
     )
 
 

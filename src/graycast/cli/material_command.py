@@ -83,6 +83,8 @@ def _material(options: argparse.Namespace) -> None:
     scale = None
     if white is not None:
         scale = scale_of(scan.observations(white), options.reflectance)
+    if lost := scan.saturated_pixels(mask):
+        print(f"note: {lost} saturated pixels are left out, because no plane is around them")
     if mask is None:
         observations = scan.observations()
         division = divide(observations, scale=scale, seed=options.seed)

@@ -83,6 +83,11 @@ class MaterialScan:
             exposure=self.exposure,
         )
 
+    def saturated_pixels(self, mask: Bool[np.ndarray, "h w"] | None = None) -> int:
+        """Return the number of saturated pixels in a mask that are on no known plane."""
+        lost = (self.result.codes.reason == Reason.SATURATED) & np.isnan(self.surface_m)
+        return int((lost if mask is None else lost & mask).sum())
+
 
 def open_scan(path: Path, scanner: Scanner | None = None) -> MaterialScan:
     """Decode a stack for the fit of materials.

@@ -1,0 +1,21 @@
+"""Pixels of a scan that saturation leaves without a depth."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from graycast.camera.decode import Reason
+from graycast.real.material import MaterialScan
+
+
+def test_saturated_pixels_are_counted_inside_a_mask():
+    reason = np.full((6, 8), Reason.DECODED, dtype=np.uint8)
+    reason[:2] = Reason.SATURATED
+    reason[2] = Reason.SHADOW
+    result = SimpleNamespace(codes=SimpleNamespace(reason=reason))
+    scan = MaterialScan(path=Path("stack.yaml"), result=result, scanner=None, exposure=1.0)
+    mask = np.zeros((6, 8), dtype=bool)
+    mask[1:4, 2:5] = True
+    assert scan.saturated_pixels() == 16
+    assert scan.saturated_pixels(mask) == 3

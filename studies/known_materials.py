@@ -1,6 +1,7 @@
 """Materials fitted to simulated scans of known materials, for docs/measurements/surfaces.md.
 
 python -m studies.known_materials out/known
+python -m studies.known_materials out/known --classes
 
 Each scan shows a heap of 20 built-in metal parts with the preset in a matt grey bin, whose
 reflectance of 0.5 is the reference. A folder that exists is continued.
@@ -16,7 +17,14 @@ from jaxtyping import Bool
 import graycast as gc
 from graycast.base.errors import GraycastError
 from graycast.base.tables import markdown_table
-from graycast.real.material import MaterialFit, fit_material, open_scan, read_masks, scale_of
+from graycast.real.material import (
+    MaterialFit,
+    divide,
+    fit_material,
+    open_scan,
+    read_masks,
+    scale_of,
+)
 from graycast.rig.pair import Rig
 from graycast.world.parts import MATERIALS
 
@@ -28,6 +36,7 @@ NAMES = (
     "steel-polished", "stainless-polished", "chrome",
 )  # fmt: skip
 HEADINGS = ["material", "kind", "roughness", "fitted [95 %]", "base colour", "fitted [95 %]"]
+CLASS_HEADINGS = ["material", "classes", "pixels of parts", "right", "pixels of the bin", "right"]
 
 
 def scanned(name: str, rig: str, folder: Path) -> Path:
@@ -78,14 +87,36 @@ def row_of(name: str, rig: str, folder: Path) -> list[str]:
     return [name, fit.kind, f"{material.roughness:g}", cells[0], f"{color:.3f}", cells[1]]
 
 
+def division_of(name: str, rig: str, folder: Path) -> list[str]:
+    """Divide a scan without masks; compare the class of the reference with the true masks."""
+    scene = scanned(name, rig, folder)
+    scan = open_scan(scene / "frames")
+    parts = read_masks(sorted((scene / "mask_sl").glob("000000_*.png")))
+    white = _away_from(parts)
+    observations = scan.observations()
+    scale = scale_of(scan.observations(white), GREY)
+    division = divide(observations, scale=scale, seed=0)
+    place = tuple(observations.pixel.T)
+    number = division.most(white[place])
+    assert number is not None
+    reference = division.members(number)
+    cells = [name, f"{division.count}"]
+    for inside, right in ((parts[place], ~reference), (~parts[place], reference)):
+        inside = inside & (division.label >= 0)
+        cells += [f"{inside.sum()}", f"{right[inside].mean():.1%}"]
+    return cells
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="A folder for the scans.")
     parser.add_argument("--rig", default="like-phoxi-m", help="The preset of the scanner.")
     parser.add_argument("--materials", nargs="+", default=NAMES, metavar="NAME", help="Presets.")
+    parser.add_argument("--classes", action="store_true", help="Divide the scans without masks.")
     arguments = parser.parse_args()
-    rows = [row_of(name, arguments.rig, arguments.folder) for name in arguments.materials]
-    print(markdown_table(HEADINGS, rows))
+    row = division_of if arguments.classes else row_of
+    rows = [row(name, arguments.rig, arguments.folder) for name in arguments.materials]
+    print(markdown_table(CLASS_HEADINGS if arguments.classes else HEADINGS, rows))
 
 
 if __name__ == "__main__":

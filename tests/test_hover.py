@@ -167,13 +167,13 @@ def test_an_editor_shows_dtype_and_axes_of_each_public_array(tmp_path):
             limit.cancel()
             server.kill()
     both = "UInt8Array_n_h_w UInt16Array_n_h_w"
-    shown = [
+    names = [
         set(re.findall(r"\w+Array_\w+", text.replace("UInt8or16Array_n_h_w", both)))
         for text in texts
     ]
     missing = {
         place: (expected[place] - has, text)
-        for place, has, text in zip(owners, shown, texts, strict=True)
+        for place, has, text in zip(owners, names, texts, strict=True)
         if not expected[place] <= has
     }
     assert not missing

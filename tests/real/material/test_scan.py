@@ -1,4 +1,4 @@
-"""Pixels of a scan that saturation leaves without a depth."""
+"""Saturated pixels of a scan that are on no known plane."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,8 +14,12 @@ def test_saturated_pixels_are_counted_inside_a_mask():
     reason[:2] = Reason.SATURATED
     reason[2] = Reason.SHADOW
     result = SimpleNamespace(codes=SimpleNamespace(reason=reason))
-    scan = MaterialScan(path=Path("stack.yaml"), result=result, scanner=None, exposure=1.0)
+    surface_m = np.full((6, 8), np.nan)
+    surface_m[0, 0] = 0.5
+    scan = MaterialScan(
+        path=Path("stack.yaml"), result=result, scanner=None, surface_m=surface_m, exposure=1.0
+    )
     mask = np.zeros((6, 8), dtype=bool)
     mask[1:4, 2:5] = True
-    assert scan.saturated_pixels() == 16
+    assert scan.saturated_pixels() == 15
     assert scan.saturated_pixels(mask) == 3

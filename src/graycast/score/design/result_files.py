@@ -1,12 +1,12 @@
 """Results of a design study on disk: a folder for each setting, a file for each of its heaps.
 
-design.json           figures of all settings, and what the study says of them
-table.md, table.csv   the same as tables
+design.json           figures of all settings, and the recommendation
+table.md, table.csv   the same figures as tables
 pareto.png, missing.png
 settings/NAME/
-    setting.json      all that the figures depend on: other values are refused
+    setting.json      all values that the figures depend on; a run with other values is refused
     000.json          figures of one heap
-    picture.png       what became of the surface of the first heap
+    picture.png       the fates of the surface points of the first heap
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ def heap_file(layout: int) -> str:
 def heap_files(
     name: str, layout: int, figures: Mapping[str, Any], picture: bytes | None
 ) -> list[tuple[str, bytes]]:
-    """Return the files of a setting's scan of a heap as (path, content), the figures last."""
+    """Return the files of a setting's scan of a heap as (path, content), with the figures last."""
     files = [] if picture is None else [(f"{name}/{PICTURE}", picture)]
     return [*files, (f"{name}/{heap_file(layout)}", json_bytes(figures))]
 
@@ -43,21 +43,21 @@ def is_finished(out: Path, name: str, layout: int) -> bool:
 
 
 def write_heap(out: Path, files: Sequence[tuple[str, bytes]]) -> None:
-    """A heap's figures say that all of it is there: its picture stands before them.
+    """Write a heap's files; the figures come last because they mark the heap as complete.
 
     Raises:
-        GraycastError: the disk refuses.
+        GraycastError: the files cannot be written.
     """
     for name, content in files:
         write_whole(out / SETTINGS / name, content)
 
 
 def claim_setting(out: Path, placed: Placed, described: Mapping[str, Any]) -> None:
-    """Make a setting's folder, or see that it was begun with the same values.
+    """Make a setting's folder, or check that an existing folder has the same values.
 
     Raises:
-        DatasetError: it was measured with other values; says where they differ.
-        GraycastError: the disk refuses.
+        DatasetError: the folder was measured with other values; the message names the difference.
+        GraycastError: the folder cannot be written.
     """
     folder = out / SETTINGS / placed.setting.name
     path = folder / SETTING
@@ -81,7 +81,7 @@ def open_design(out: Path) -> Iterator[None]:
     """Create or resume a study's folder, locked against other runs.
 
     Raises:
-        GraycastError: it is a file, holds something else, is in use, or cannot be written.
+        GraycastError: the path is a file, or the folder has other content, is locked or read-only.
     """
     refuse_foreign(out, SETTINGS)
     with claimed_folder(out, SETTINGS, _LOCK):
@@ -89,7 +89,7 @@ def open_design(out: Path) -> Iterator[None]:
 
 
 def read_heaps(out: Path, name: str, spec: DesignSpec) -> list[dict[str, Any] | None]:
-    """Return a setting's figures by heap; None for heaps that could not be made.
+    """Return a setting's figures for each heap; None for heaps without figures.
 
     Raises:
         GraycastError: a file is damaged.

@@ -1,4 +1,4 @@
-"""Settings in the YAML file of a design study: one cell, and the scanners and places to compare."""
+"""The YAML file of a design study: one cell, and the scanners and camera poses to compare."""
 
 import os
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ Tilt = Annotated[float, Field(ge=0, le=80)]
 
 
 class SweepSection(Settings):
-    """All combinations of its lists are compared. A key that is left out is as in the cell."""
+    """A sweep: all combinations of its lists are compared; a missing key keeps the cell's value."""
 
     rig: tuple[RigName, ...] | None = Field(
         default=None, min_length=1, description="The rigs: names of presets, or rig files."
@@ -66,7 +66,7 @@ class SweepSection(Settings):
 
 
 class NeedsSection(Settings):
-    """The most that a setting may have to be chosen."""
+    """Limits that a setting must meet to be chosen."""
 
     sigma_m: Positive | None = Field(
         default=None, description="The largest standard deviation of depth, in metres."
@@ -81,9 +81,9 @@ class NeedsSection(Settings):
 
 
 class DesignSpec(Settings):
-    """A design study: each setting of its sweeps scans the same heaps of parts.
+    """A design study: each setting in its sweeps scans the same heaps of parts.
 
-    Relative paths start at the file's folder.
+    Relative paths start at the folder of the study's file.
     """
 
     title: str = Field(default="Design study", description="The title of the table.")
@@ -141,10 +141,10 @@ class DesignSpec(Settings):
 
 
 def read_design(path: Path) -> DesignSpec:
-    """Read and check a design study; its paths become absolute.
+    """Read and check the file of a design study; relative paths in it become absolute.
 
     Raises:
-        ConfigError: the file is missing, has an unknown, missing or wrong key, or names no rig.
+        ConfigError: the file is missing, has unknown, missing or wrong keys, or names no known rig.
     """
     study = read_settings(path, DesignSpec)
     base = Path(os.path.normpath(path.parent.absolute()))
@@ -172,7 +172,7 @@ def _from(base: Path, path: Path) -> Path:
 
 
 def _bin_from(base: Path, section: BinSection) -> BinSection:
-    """Return a bin's section whose files are named by absolute paths."""
+    """Return a bin's section with absolute paths to its files."""
     changes: dict[str, Any] = {}
     if section.mesh is not None:
         changes["mesh"] = _from(base, section.mesh)

@@ -1,4 +1,4 @@
-"""A judgement as files: figures as JSON, CSV and Markdown, plots, and pictures of mistakes."""
+"""The files of an evaluation: figures as JSON, CSV and Markdown, plots, and sheets of mistakes."""
 
 import json
 from collections import Counter
@@ -33,7 +33,7 @@ _TITLES = {"ap": "AP", "ap50": "AP50", "ap75": "AP75", "ar": "AR"}
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """An evaluation: its subject, its settings and its results."""
+    """An evaluation of one file of detections: the data, the protocol and the results."""
 
     dataset: str
     split: str
@@ -49,7 +49,7 @@ def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> 
     """Write the evaluation's files; a kind of mistake that never occurs gets no sheet.
 
     Args:
-        picture: reads a scene's picture.
+        picture: function that returns a scene's picture by its id.
 
     Raises:
         GraycastError: the folder cannot be written.
@@ -69,7 +69,7 @@ def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> 
 
 
 def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
-    """Return all figures for JSON, with null for NaN."""
+    """Return all figures as values for JSON, with None instead of NaN."""
     protocol, run, known = evaluation.protocol, evaluation.run, evaluation.judgements[0].known
     return plain(
         {
@@ -98,7 +98,7 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def summary(evaluation: Evaluation) -> str:
-    """Return the figures of all instances, for the terminal."""
+    """Return the figures over all instances as text for the terminal."""
     lines = [_what(evaluation)]
     for one in evaluation.judgements:
         lines.append(f"{one.kind:5} {_sentence(one.rows[0].figures)}")
@@ -110,7 +110,7 @@ def summary(evaluation: Evaluation) -> str:
 
 
 def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
-    """Yield a table of every figure with its interval, and the sentences around it."""
+    """Yield the paragraphs of the Markdown file: sentences and tables of figures with intervals."""
     yield "# " + evaluation.run.name
     yield _what(evaluation)
     yield from evaluation.notes
@@ -196,7 +196,7 @@ def _intervals(figures: Mapping[str, Interval]) -> dict[str, Any]:
 
 
 def _scenes(one: Judgement) -> Iterator[dict[str, Any]]:
-    """Yield the found, missed and false detections of each scene at the working point."""
+    """Yield the numbers of hits, misses and false alarms in each scene at the working point."""
     hits: Counter[int] = Counter()
     for match in one.scores.matches.values():
         at_work = match.hit[AT_HALF] & (match.score >= one.point.score)

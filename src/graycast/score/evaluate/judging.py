@@ -1,9 +1,9 @@
-"""All figures of detections against labels, for boxes and for masks.
+"""Comparison of detections with labels, for boxes and for masks, over all instances and by groups.
 
-Instances outside a group are ignored: they need not be found, and what finds one is neither a hit
-nor a mistake. They overlap as ever (intersection over union), so a bad outline of one is a mistake
-in every group, as is a detection of nothing. By size alone detections have a group of their own,
-and a mistake counts there alone, as COCO has it.
+Instances outside a group are ignored: a detector need not find them, and a detection that matches
+one is neither a hit nor a mistake. Their overlap stays intersection over union, so a detection that
+overlaps no instance enough is a mistake in every group. The groups by size are an exception: there
+a detection without a match is a mistake only in the group of its own size, as in COCO.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ KINDS: tuple[Kind, ...] = ("box", "mask")
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Protocol:
-    """The choices of a judgement."""
+    """Parameters of a judgement."""
 
     min_visibility: float = MIN_VISIBILITY
     most: int = MOST
@@ -56,13 +56,13 @@ class Protocol:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroupRow:
-    """Figures of all instances, of a class or of a group.
+    """Figures over all instances, over a class or over a group.
 
     Attributes:
-        by: `all`, `class`, or what the group is made by.
+        by: `all`, `class`, or the quantity that defines the group.
         name: name of the part or group.
-        to_find: instances that count there.
-        figures: `FIGURES` of the scores or of poses, with their intervals.
+        to_find: number of instances to find.
+        figures: `FIGURES` of detection or pose scores, with their intervals.
     """
 
     by: str
@@ -77,9 +77,9 @@ class Judgement:
     """All results for boxes, or all for masks.
 
     Attributes:
-        rows: all instances first, then classes, then groups.
-        against: `FIGURES` minus those of the other results; None without other results.
-        point: the working point of `misses` and `false_alarms`.
+        rows: figures over all instances, then over each class, then over each group.
+        against: differences of `FIGURES` from the other results; None without other results.
+        point: working point at which `misses` and `false_alarms` are listed.
     """
 
     kind: Kind
@@ -93,7 +93,7 @@ class Judgement:
 
 
 def kinds_of(labels: Sequence[Labels], detections: Sequence[Detections]) -> tuple[Kind, ...]:
-    """Return the kinds that can be compared: boxes, and masks if both sides have them."""
+    """Return the kinds to compare: boxes, and masks if both labels and detections have masks."""
     has_masks = all(one.mask is not None for one in labels)
     has_masks &= all(one.mask is not None for one in detections if len(one))
     return KINDS if has_masks and any(map(len, detections)) else ("box",)
@@ -108,7 +108,7 @@ def judge(
     protocol: Protocol,
     against: Sequence[Detections] | None = None,
 ) -> Judgement:
-    """Compute all figures of one kind of outline.
+    """Compare detections with labels by one kind of outline, and return all figures.
 
     Raises:
         GraycastError: labels and detections do not fit together.
@@ -162,7 +162,7 @@ def _group_scores(
 
 
 def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> Iterator[Group]:
-    """Yield the groups that the labels allow; an unknown share makes no groups."""
+    """Yield groups by visibility, size and missing depth, unless the labels lack that quantity."""
     if all(one.visib_fract is not None for one in labels):
         above = [edge for edge in VISIBILITY_EDGES if edge > min_visibility]
         for low, high in pairwise([min_visibility, *above]):

@@ -1,4 +1,4 @@
-"""Shares of successes: an interval, a test of two paired shares, and how well a score predicts."""
+"""Statistics of success rates: an interval, a test of two paired rates, and ROC curves."""
 
 import math
 
@@ -10,7 +10,7 @@ from .intervals import Interval, draw_scenes, interval_of
 
 
 def wilson(hits: int, of: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share.
+    """Return the 95 % confidence interval of a success rate (Wilson's score interval).
 
     Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
     JASA 22, 1927.
@@ -28,8 +28,8 @@ def mcnemar(only_first: int, only_second: int) -> float:
     """Return the two-sided p-value of McNemar's exact test.
 
     Args:
-        only_first: pairs of which the first alone is a success.
-        only_second: pairs of which the second alone is one.
+        only_first: number of pairs in which only the first trial is a success.
+        only_second: number of pairs in which only the second trial is a success.
 
     Source: Q. McNemar, "Note on the sampling error of the difference between correlated
     proportions or percentages", Psychometrika 12, 1947.
@@ -40,11 +40,11 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def roc_auc(score: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]) -> float:
-    """Return the area under the ROC curve, which states how well a score predicts success.
+    """Return the area under the ROC curve, which measures how well a score predicts success.
 
-    It is the probability that a success has a higher score than a failure; ties count half.
-    NaN where nothing succeeds, or everything. It is Mann and Whitney's U, as a share of all pairs:
-    the sum of the successes' ranks, less the least that it can be.
+    The area is the probability that a success has a higher score than a failure; ties count half.
+    It is NaN without successes or without failures. It equals Mann and Whitney's U (the rank sum
+    of the successes minus its smallest possible value), divided by the number of pairs.
     """
     good = int(success.sum())
     bad = len(success) - good
@@ -61,7 +61,7 @@ def roc_auc_of_scenes(
     *,
     seed: int,
 ) -> Interval:
-    """Return the same with its interval by resampling of scenes."""
+    """Return the area under the ROC curve with an interval from resampled scenes."""
     ids, place = np.unique(scene, return_inverse=True)
     draws = []
     for times in draw_scenes(ids.tolist(), seed=seed) if len(ids) > 1 else ():

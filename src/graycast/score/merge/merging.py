@@ -1,4 +1,4 @@
-"""Write a merged cloud for each scene, and figures on what each view adds."""
+"""Merging of a dataset: a cloud for each scene, and the share of surface that each view adds."""
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
@@ -22,16 +22,16 @@ _MOST_REASONS = 2
 
 
 def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> dict[str, Any]:
-    """Write a cloud and its figures for each scene, `train-000000.ply` and `.json`.
+    """Write a cloud and its figures for each scene (such as `train-000000.ply` and `.json`).
 
     Args:
-        source: a dataset, or one scene's folder in it.
-        out: the folder to write; it is new or empty.
-        progress: counts scenes.
+        source: folder of a dataset, or of one scene in a dataset.
+        out: folder to write, new or empty.
+        progress: counter of finished scenes.
 
     Returns:
-        What `merge.json` in `out` says: the surface's figures over all scenes, and doubts about the
-        poses of views.
+        The content of `merge.json` in `out`: figures of the surface over all scenes, and doubts
+        about the poses of views.
 
     Raises:
         GraycastError: `out` cannot be written; the dataset holds real pictures, or is damaged.
@@ -77,7 +77,7 @@ def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> di
 
 
 def described(surface: Mapping[str, Any]) -> Iterator[str]:
-    """Yield lines about one of the `surfaces` of `merge.json`."""
+    """Yield lines of text that describe an entry of `surfaces` in `merge.json`."""
     views = surface["views"]
     yield (
         f"of the parts' surface {_share(surface['visible'])} is visible to a camera, and of that "
@@ -103,7 +103,7 @@ def described(surface: Mapping[str, Any]) -> Iterator[str]:
 
 
 def merged_ply(cloud: FusedCloud) -> bytes:
-    """Return a binary PLY in the world frame, with all that is known of each point."""
+    """Return a cloud as a binary PLY in the world frame, with all attributes of each point."""
     more = {
         "nx": cloud.normal[:, 0],
         "ny": cloud.normal[:, 1],
@@ -118,7 +118,7 @@ def merged_ply(cloud: FusedCloud) -> bytes:
 
 
 def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
-    """Return the dataset, and the pictures of each of its scenes, or of the one given."""
+    """Return the dataset, and the pictures of each scene, or of the scene that `source` names."""
     one = source.name.isdecimal() and not (source / CLAIM).exists()
     stored = open_dataset(source.parent.parent if one else source)
     shots = [

@@ -1,4 +1,4 @@
-"""Results of a certificate: plain numbers with their units, ready for JSON."""
+"""Results of a certificate as plain numbers with units, ready for JSON."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -10,12 +10,12 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scope:
-    """Extent of the measurements, and their light.
+    """The artefacts to measure and the quality of the rendered light.
 
-    `distances` facing planes from near to far, planes tilted by `tilts_deg` about the baseline,
-    `spheres` for probing, the ball bar in its first `bars` positions. Light is traced with
-    `samples` paths a pixel and `depth` vertices: 1 is direct light alone. Artefacts are perfect
-    diffusers of `albedo`.
+    The artefacts are `distances` facing planes from near to far, planes tilted by `tilts_deg` about
+    the baseline, `spheres` for probing, and the ball bar in its first `bars` positions. All are
+    perfect diffusers with the reflectance `albedo`. Light is traced with `samples` paths per pixel
+    and `depth` vertices per path; a depth of 1 is direct light only.
     """
 
     distances: int = 5
@@ -52,12 +52,12 @@ class PlaneResult:
     """Figures of one plane in one pose.
 
     `flatness_m` is the range of signed distances from the best-fit plane, `std_m` their standard
-    deviation, `offset_m` the median of measured less true depth. Distances are over the whole
-    common field, noise, error and spacing over its middle. `noise_m` is the temporal standard
-    deviation of depth (NaN where one capture was taken), `error_m` that of measured less true depth
-    from pixel to pixel in one shot, and `sigma_m` what the scanner itself states. `error_m` has
-    what is fixed, too, as the raster of a device is, and is the one to set against `sigma_m`.
-    `exposures_s` are the times of the exposures that are merged.
+    deviation, `offset_m` the median of measured minus true depth; these use the whole common field.
+    Noise, error, sigma, spacing and modulation use its middle. `noise_m` is the standard deviation
+    of depth from shot to shot (NaN for a single capture). `error_m` is the standard deviation of
+    measured minus true depth over the pixels of one shot. Unlike `noise_m`, it contains fixed
+    errors, such as those from a device's raster, and is comparable with the scanner's `sigma_m`.
+    `exposures_s` are the exposure times that are merged.
     """
 
     name: str
@@ -80,7 +80,7 @@ class PlaneResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbingResult:
-    """Figures of one sphere: PF is `form_m`, PS is `size_m` (fitted less nominal diameter)."""
+    """Figures of one sphere: PF is `form_m`, PS is `size_m` (fitted minus nominal diameter)."""
 
     centre_m: tuple[float, float, float]
     form_m: float
@@ -93,7 +93,7 @@ class ProbingResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpacingResult:
-    """Figures of one position of the ball bar: SD is `error_m`, measured less nominal distance."""
+    """Figures of the ball bar in one position: SD is `error_m`, measured minus nominal distance."""
 
     name: str
     ends_m: tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -103,9 +103,9 @@ class SpacingResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlurResult:
-    """Radius of the disc that a point at depth z becomes, on the camera's axis, in either device.
+    """Radius of the blur disc of a point on the camera's axis, in each device's own pixels.
 
-    The optics' closed form (`optics.blur_radius_px`), in each device's own pixels.
+    The radius is the closed form `optics.blur_radius_px`.
     """
 
     z_m: float
@@ -115,10 +115,10 @@ class BlurResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """Accuracy of a virtual camera; see the docs and `sheet` for how each number was measured.
+    """Accuracy of a virtual camera; the docs and `sheet` explain how each number is measured.
 
-    `deviation_m` is the middle plane's signed distance from its best fit, block means over the
-    picture; it goes into a plot, not into the JSON.
+    `deviation_m` is the signed distance of the middle plane from its best fit, averaged over blocks
+    of pixels; a plot shows it, and the JSON omits it.
     """
 
     rig: dict[str, Any]
@@ -143,7 +143,7 @@ class Certificate:
 
     @property
     def facing(self) -> tuple[PlaneResult, ...]:
-        """The facing planes, near to far."""
+        """The facing planes, from near to far."""
         return tuple(plane for plane in self.planes if plane.tilt_deg == 0)
 
     @property
@@ -153,12 +153,12 @@ class Certificate:
 
     @property
     def tilted(self) -> tuple[PlaneResult, ...]:
-        """The facing middle plane, then those that are tilted about the baseline."""
+        """The facing plane at the middle distance, then the planes tilted about the baseline."""
         return self.middle, *(p for p in self.planes if p.name.startswith("tilted about baseline"))
 
     @property
     def summary(self) -> dict[str, float]:
-        """The figures of a datasheet; errors are the worst over all positions, with their sign."""
+        """Figures for a datasheet; each error is the largest over all positions, with its sign."""
 
         def worst(values: list[float]) -> float:
             return max(values, key=abs)
@@ -178,7 +178,7 @@ class Certificate:
         }
 
     def record(self) -> dict[str, Any]:
-        """Return all numbers for JSON, with None for NaN."""
+        """Return all numbers as values for JSON, with None instead of NaN."""
         known = asdict(self)
         known.pop("deviation_m")
         return _without_nan({"summary": self.summary, **known})

@@ -14,7 +14,7 @@ MAP_SIGMAS = 3.0  # The colours span this many of the plane's standard deviation
 
 
 def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:
-    """Write all plots as PNGs into a folder that is there; returns them by name.
+    """Write all plots as PNGs into an existing folder, and return their paths by name.
 
     Raises:
         GraycastError: a file cannot be written.
@@ -33,7 +33,7 @@ def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:
 
 
 def _volume(certificate: Certificate) -> Figure:
-    """Plot the places of the artefacts, from above and from the side."""
+    """Return a plot of the artefacts' positions, from above and from the side."""
     figure, axes = plain_figure(9.6, 4.2, (1, 1))
     for ax, across, letter in zip(axes, (0, 1), "xy", strict=True):
         for plane in certificate.facing:
@@ -151,7 +151,7 @@ def _focus(certificate: Certificate) -> Figure:
 
 
 def _short(name: str) -> str:
-    """Return a frame's name as the axis has room for; columns are the rule and need no word."""
+    """Return a short form of a frame's name for the axis; frames for columns need no prefix."""
     for long, short in (
         ("column_", ""),
         ("row_", "row "),

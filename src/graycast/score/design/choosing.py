@@ -1,4 +1,4 @@
-"""Choice of a setting: figures over all heaps, the Pareto front, and a sentence with the choice."""
+"""Choice of a setting: figures over all heaps, the Pareto front, and the recommendation."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,10 +21,10 @@ FIGURES = ("of_seen", "sigma_m", "bias_m", "pixel_m", "feature_m", "seconds")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettingFigures:
-    """A setting's figures: the mean over the heaps, and the measured share of each of them.
+    """A setting's figures: means over the heaps, and the measured share of each heap.
 
-    Figures are NaN where no heap has them. `front` says that no other setting measures as much or
-    more with as small a sigma and as few seconds, and is better in one of them.
+    Figures are NaN if no heap has them. `front` is True on the Pareto front: no other setting is at
+    least as good in measured share, sigma and seconds, and better in one of them.
     """
 
     name: str
@@ -42,13 +42,13 @@ class SettingFigures:
         return mean_interval(self.measured_by_heap)
 
     def missing(self) -> list[tuple[Fate, float]]:
-        """Return the unmeasured shares by reason, largest first."""
+        """Return the fates of the unmeasured surface with their shares, largest first."""
         lost = [(fate, self.share[fate]) for fate in FATES if fate is not Fate.MEASURED]
         return sorted((pair for pair in lost if pair[1] > 0), key=lambda pair: -pair[1])
 
 
 def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
-    """Return a mean with its 95 % interval by Student's t; values that are NaN are left out."""
+    """Return a mean with its 95 % interval by Student's t distribution; NaN values are ignored."""
     value = value[np.isfinite(value)]
     if not len(value):
         return Interval(value=math.nan, low=math.nan, high=math.nan)
@@ -61,7 +61,7 @@ def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
 
 
 def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> SettingFigures:
-    """Return a setting's row from its figures by heap; None where a heap could not be made."""
+    """Return a setting's row from its figures for each heap (None for a heap without figures)."""
     finished = [heap for heap in heaps if heap is not None]
     return SettingFigures(
         name=placed.setting.name,
@@ -82,8 +82,8 @@ def _mean(values: Sequence[float | None]) -> float:
 def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
     """Return whether each row is on the Pareto front; smaller figures are better.
 
-    A row is off the front if another row is nowhere worse and somewhere better, or if it has
-    NaN.
+    A row is off the front if it has a NaN, or if another row is nowhere worse and somewhere
+    better.
     """
     beaten = np.isnan(values).any(axis=1)
     for i, own in enumerate(values):
@@ -93,13 +93,13 @@ def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
 
 
 def cost(row: SettingFigures) -> tuple[float, float, float]:
-    """The quantities to minimise, rounded as printed: unmeasured share, sigma [mm], seconds."""
+    """Return the quantities to minimise, as printed: unmeasured share, sigma [mm], seconds."""
     sigma_mm, seconds = 1e3 * row.figure["sigma_m"], row.figure["seconds"]
     return round(1 - row.measured.value, 3), round(sigma_mm, 2), round(seconds, 2)
 
 
 def choose(spec: DesignSpec, rows: Sequence[SettingFigures]) -> SettingFigures | None:
-    """Return the setting that measures most among those that meet the study's needs."""
+    """Return the setting with the largest measured share that meets the study's needs."""
     fit = [row for row in rows if meets(spec, row) and math.isfinite(row.measured.value)]
     return max(fit, key=lambda row: row.measured.value, default=None)
 
@@ -154,7 +154,7 @@ def _few(spec: DesignSpec) -> str:
 
 
 def where(row: SettingFigures) -> str:
-    """Return a setting in words: the rig, its place, and what else was chosen."""
+    """Return a setting in words: the rig, its pose, and the code, exposure, bin and resolution."""
     setting, cell = row.placed.setting, row.placed.cell
     view, rig = cell.config.view, cell.scene.rig
     words = f"The rig {rig.name}"
@@ -207,7 +207,7 @@ def _wanted(spec: DesignSpec) -> str:
 
 
 def _nearest(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
-    """Return the smallest value that any setting has of a required quantity."""
+    """Return sentences with the smallest value of each required quantity over all settings."""
     least = []
     for name in spec.needs.model_dump(exclude_none=True):
         candidates = [row for row in rows if math.isfinite(row.figure[name])]

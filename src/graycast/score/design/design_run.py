@@ -1,4 +1,4 @@
-"""Scans of all settings of a study on all its heaps, done by workers."""
+"""Scans of a study's heaps with all its settings, run by workers."""
 
 import time
 from collections.abc import Callable
@@ -32,7 +32,7 @@ from .study import DesignSpec
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heap:
-    """Parts as they lie, and the seeds of the light and the noise that all settings share."""
+    """A heap of dropped parts, and the seeds for light and noise that all settings share."""
 
     layout: Layout
     surface: HeapSurface
@@ -41,10 +41,10 @@ class Heap:
 
 
 def make_heap(cell: Cell, spec: DesignSpec, number: int, *, progress: ProgressMeter) -> Heap:
-    """Return the heap of that number, as a dataset of the same seed has it in its scene.
+    """Return the heap with that number; it equals the scene of a dataset with the same seed.
 
     Raises:
-        DropError, ValueError: the parts found no rest, or do not fit the bin.
+        DropError, ValueError: the parts do not come to rest, or do not fit into the bin.
     """
     seeds = scene_seeds(spec.seed, number, domain=False)
     layout = drop(
@@ -63,7 +63,7 @@ def make_heap(cell: Cell, spec: DesignSpec, number: int, *, progress: ProgressMe
 
 
 class Comparer:
-    """Scans heaps of one study; the renderer and the heaps of each bin are kept."""
+    """Scanner of a study's heaps; it keeps the renderer and the current heap for each bin."""
 
     def __init__(self, task: "DesignTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
@@ -71,10 +71,10 @@ class Comparer:
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
     def make(self, scene_id: int) -> TaskResult:
-        """Scan one heap in one light, with all codes and exposures.
+        """Scan one heap with all settings of one light: one rendering, then a scan per setting.
 
         Raises:
-            DropError, ValueError: this heap cannot be made or lit; the next one may be.
+            DropError, ValueError: this heap cannot be made or rendered; others may still succeed.
         """
         start = time.perf_counter()
         group, number = self._task.group(scene_id)
@@ -108,7 +108,7 @@ class Comparer:
         )
 
     def _heap(self, placed: Placed, number: int) -> Heap:
-        """Return the heap of a bin, dropped once for all settings that have this bin."""
+        """Return the heap for a setting's bin; settings with the same bin share it."""
         key = placed.setting.bin, number
         if key not in self._heaps:
             self._heaps = {other: heap for other, heap in self._heaps.items() if other[1] == number}
@@ -118,7 +118,7 @@ class Comparer:
         return self._heaps[key]
 
     def _light(self, group: tuple[Placed, ...], heap: Heap) -> tuple[Rendering, list[slice]]:
-        """Render the patterns of all codes at once; return also the range of each setting's own."""
+        """Render the patterns of all codes; return the rendering and each setting's patterns in it."""
         cell = group[0].cell
         by_code = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
         ends = np.cumsum([len(patterns) for patterns in by_code.values()]).tolist()
@@ -143,10 +143,10 @@ class Comparer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignTask(Job):
-    """Data that a worker needs; with n lights, its scene k is heap `k // n` in light `k % n`.
+    """Data for a worker; with n lights, its scene k is heap `k // n` with light `k % n`.
 
-    Scenes are ordered by heap, so that a worker holds only one heap at a time and a stopped
-    study has some results of every setting.
+    Scenes are ordered by heap, so that a worker keeps only one heap at a time and a stopped
+    study has some results for every setting.
     """
 
     RUNNER = Comparer
@@ -159,12 +159,12 @@ class DesignTask(Job):
         return self.lights[0][0].cell.scene.parts
 
     def group(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
-        """Return the settings of a scene, which share their light, and the number of its heap."""
+        """Return the settings of a scene (they share a light), and the number of its heap."""
         layout, light = divmod(scene_id, len(self.lights))
         return self.lights[light], layout
 
     def name(self, scene_id: int) -> tuple[str, int]:
-        """Return the name of a scene's rendering, and the number of its heap."""
+        """Return the name of a scene's setting (or of the light), and the number of its heap."""
         group, layout = self.group(scene_id)
         setting = group[0].setting
         return setting.name if len(group) == 1 else setting.lit.name, layout
@@ -180,21 +180,21 @@ def run_design(
     on_failed: Callable[[str, int, Failed], None] = lambda name, layout, failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> tuple[str, ...]:
-    """Scan the settings and heaps that are not scanned yet.
+    """Scan all heaps with all settings, except scans that are finished.
 
     Args:
-        out: the study's folder. The same study goes on in it, also with more settings or heaps.
+        out: folder of the study; a study can be resumed there, even with more settings or heaps.
         device: device of the renderer.
-        on_result, on_failed: take results with the name of a rendering, and the number of its heap.
+        on_result, on_failed: called with the name and heap of `DesignTask.name`, and the result.
 
     Returns:
-        The renderings that could not be made, by name and heap.
+        Names and heaps of the renderings that failed, as `NAME/HEAP`.
 
     Raises:
-        ConfigError: no setting makes a cell.
-        DatasetError: the folder is in use, or its figures are of other values.
-        DeviceError: no such device here.
-        GraycastError, ValueError: nothing came out, for this reason.
+        ConfigError: none of the settings can be used.
+        DatasetError: the folder is in use, or its figures come from other values.
+        DeviceError: this machine has no such device.
+        GraycastError, ValueError: all scans failed; the error is that of a scan.
     """
     placed = place_settings(spec, settings_of(spec), progress=progress)
     task = DesignTask(

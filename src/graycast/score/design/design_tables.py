@@ -1,4 +1,4 @@
-"""A design study's figures as tables for readers and spreadsheets, and as pictures."""
+"""Tables and plots of the figures of a design study."""
 
 import math
 from collections.abc import Sequence
@@ -32,10 +32,10 @@ def write_design(spec: DesignSpec, out: Path) -> str:
     """Write `table.md`, `table.csv`, `design.json`, `pareto.png` and `missing.png` to `out`.
 
     Returns:
-        What to buy and where to put it.
+        The recommendation in sentences.
 
     Raises:
-        GraycastError: figures are damaged, or the disk refuses.
+        GraycastError: figures are damaged, or the files cannot be written.
     """
     rows = rows_of(spec, out)
     conclusion = sentences(spec, rows)
@@ -50,7 +50,7 @@ def write_design(spec: DesignSpec, out: Path) -> str:
 
 
 def rows_of(spec: DesignSpec, out: Path) -> list[SettingFigures]:
-    """Return the settings' rows, the one that measures most first."""
+    """Return a row for each setting, in descending order of the measured share."""
     placed = place_settings(spec, settings_of(spec))
     rows = [row_of(one, read_heaps(out, one.setting.name, spec)) for one in placed]
     front = on_front(np.array([cost(row) for row in rows]))
@@ -72,7 +72,7 @@ def _record(row: SettingFigures) -> dict[str, str | float | bool]:
 
 
 def describe_design(spec: DesignSpec, out: Path) -> str:
-    """Return the table in columns of plain text, and the recommendation."""
+    """Return the table and the recommendation as plain text."""
     rows = rows_of(spec, out)
     lines = [_heads(), *([row.name, *_cells(row)] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -134,7 +134,7 @@ def _share(interval: Interval) -> str:
 
 
 def _draw_pareto(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
-    """Draw the measured share over sigma, and over seconds; beaten settings are pale."""
+    """Draw the measured share over sigma and over seconds; settings off the front are pale."""
     best = choose(spec, rows)
     figure, axes = plain_figure(12.0, 5.2, (1, 1))
     for ax, column, words in zip(axes, (1, 2), ("sigma [mm]", "seconds of a scan"), strict=True):
@@ -151,7 +151,7 @@ def _draw_front(
 ) -> int:
     """Draw measured share and interval over a cost; return the number of settings on the front.
 
-    Both axes begin at 0, so that two settings that are nearly equal look so.
+    Both axes begin at 0, so that nearly equal settings look nearly equal.
     """
     costs = np.array([cost(row) for row in rows])
     front = np.array(on_front(costs[:, [0, column]]))
@@ -173,7 +173,7 @@ def _draw_front(
 def _write_settings(
     ax: Axes, rows: Sequence[SettingFigures], best: SettingFigures | None, column: int
 ) -> None:
-    """Write settings' names while there is room; the best and those of the front come first."""
+    """Write the settings' names where there is room: first the best setting, then the front."""
     costs = np.array([cost(row) for row in rows])
     front = on_front(costs[:, [0, column]])
     first = sorted(range(len(rows)), key=lambda i: (rows[i] is not best, not front[i]))
@@ -186,7 +186,7 @@ def _write_settings(
 
 
 def _draw_missing(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
-    """Draw a bar for each setting that shows what became of the open surface."""
+    """Draw a bar for each setting with the shares of the open surface by fate."""
     figure, (ax,) = plain_figure(10.0, 1.6 + 0.24 * len(rows), (1,), grid="x")
     left = np.zeros(len(rows))
     for fate in FATES:

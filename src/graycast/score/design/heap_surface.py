@@ -1,7 +1,7 @@
 """The surface of a heap's parts as points, and the visibility of these points.
 
-The points belong to the heap, not to a scanner: all settings are asked about the same places. What
-hides a point is found by rasterising all meshes from the eye, without any renderer.
+The points belong to the heap, not to a scanner, so all settings are compared at the same points.
+Visibility is computed by rasterising all meshes from the eye, without a renderer.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))
 
 
 class Visibility(IntEnum):
-    """Visibility of a point from an eye position, and what hides it otherwise."""
+    """Visibility of a point from an eye (camera or projector), or why it is not visible."""
 
     VISIBLE = 0
     OUTSIDE = 1  # The point is not in the picture.
@@ -36,11 +36,11 @@ class Visibility(IntEnum):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeapSurface:
-    """Points on parts as they lie, each of about the same area, in world coordinates.
+    """Points on the surfaces of placed parts, each for about the same area, in world coordinates.
 
-    `weight` is how much a point shows in views from above: the mean, over the directions of a cone,
-    of the cosine at which it is seen, 0 where it is hidden. Where it is above 0 the surface is
-    open. `instance` is the layout's.
+    `weight` is the visibility of a point from above: the mean, over the directions in a cone, of
+    the cosine of incidence (0 if the point is hidden). Points with a weight above 0 are the open
+    surface. `instance` is the index of the point's part in the layout.
     """
 
     point_m: Float[np.ndarray, "n 3"]
@@ -60,16 +60,16 @@ class HeapSurface:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacles:
-    """Everything that can hide a point, as one mesh; its first faces are the bin's."""
+    """All surfaces that can hide a point, as one mesh that begins with the faces of the bin."""
 
     mesh: Mesh
     bin_faces: int
 
 
 def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float) -> HeapSurface:
-    """Spread `points` over the parts of a heap; weight each by how well the cone above sees it.
+    """Spread points over the parts of a heap, and weight them by their visibility from above.
 
-    No chance is involved: one heap has the same points in every setting.
+    The points are not random: a heap has the same points in every setting.
     """
     meshes = [scene.parts[kind].mesh for kind in layout.part_index]
     surface = surface_of(meshes, list(layout.T_world_part), points=points)
@@ -104,9 +104,9 @@ def sight(
 ) -> Int[np.ndarray, " n"]:
     """Return the `Visibility` of points on the parts from a camera or a projector.
 
-    A point is hidden where the nearest surface, both at its pixel's centre and where its plane
-    meets the point's own ray, lies before it by more than `SLACK_M`. The picture is made as large
-    as `LEAST_PX`, whatever the device's own is: half a pixel is how far an edge may be off.
+    A point is hidden if the nearest face in its pixel is closer than the point by more than
+    `SLACK_M`, both at the pixel's centre and where the face's plane meets the ray of the point. The
+    picture has at least `LEAST_PX`, because edges may be off by half a pixel.
     """
     eye = _enlarged(optics)
     T_eye_world = inverse(T_world_eye)
@@ -135,7 +135,7 @@ def _on_plane(
     hit: Int[np.ndarray, " n"],
     point: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, " n"]:
-    """z at which each point's ray meets the plane of a face: `z = z_point (m . a) / (m . p)`."""
+    """Return z where each point's ray meets its face's plane: `z = z_point (m . a) / (m . p)`."""
     a, b, c = np.moveaxis(vertices[obstacles.mesh.faces[hit]], 1, 0)
     normal = np.cross(b - a, c - a)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -144,7 +144,7 @@ def _on_plane(
 
 
 def _enlarged(optics: Optics) -> Optics:
-    """Return the same view in a picture of at least `LEAST_PX`."""
+    """Return optics with the same view and a picture of at least `LEAST_PX`."""
     times = -(-LEAST_PX // max(optics.width_px, optics.height_px))
     return replace(
         optics,
@@ -158,7 +158,7 @@ def _enlarged(optics: Optics) -> Optics:
 
 
 def _cone(box: Bin, cone_deg: float) -> list[tuple[Optics, Float[np.ndarray, "4 4"]]]:
-    """Return far eyes above the bin, from all sides and up to `cone_deg` from the vertical."""
+    """Return distant eyes above the bin, on all sides and up to `cone_deg` from the vertical."""
     low, high = box.bounds_m
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     away_m = 10 * radius_m  # From far away, the rays are nearly parallel.

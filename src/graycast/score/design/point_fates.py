@@ -1,4 +1,4 @@
-"""The result of one setting on one heap: the fate and the depth error of each surface point."""
+"""Result of one setting on one heap: the fate and the depth error of each surface point."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -25,8 +25,8 @@ _LEGEND_PX = 168
 class Fate(StrEnum):
     """The fate of a point on the open surface.
 
-    What the camera does not see is not measured; what it sees and has depth for is, or is `WRONG`.
-    Of the rest geometry comes first (no light can reach it), then the decoder's own reason.
+    A point that the camera sees and that has depth is `MEASURED` or `WRONG`. A point without depth
+    has a geometric fate if one applies (hidden, or out of the light), else the decoder's reason.
     """
 
     MEASURED = "measured"
@@ -78,7 +78,7 @@ _NUMBER = {fate: number for number, fate in enumerate(FATES)}
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceView:
-    """Visibility of a heap's points to a setting's camera and projector; codes do not change it."""
+    """Visibility of a heap's points to the camera and the projector; the same for all codes."""
 
     camera: Int[np.ndarray, " n"]  # a `Visibility` for each point
     projector: Int[np.ndarray, " n"]
@@ -93,7 +93,7 @@ class SurfaceView:
 
 
 def view_of(scene: Scene, layout: Layout, surface: HeapSurface) -> SurfaceView:
-    """Return what the scene's camera and projector see of the surface's points."""
+    """Return the visibility of the surface's points to the scene's camera and projector."""
     obstacles, rig = obstacles_of(scene, layout), scene.rig
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
     at = transform_points(inverse(scene.T_world_cam), surface.point_m)
@@ -117,7 +117,7 @@ def view_of(scene: Scene, layout: Layout, surface: HeapSurface) -> SurfaceView:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointFates:
-    """The fate of each point, as its number in `FATES`, and depth less truth where measured [m]."""
+    """The fate of each point (an index in `FATES`), and the depth error of measured points [m]."""
 
     fate: Int[np.ndarray, " n"]
     error_m: Float[np.ndarray, " n"]
@@ -130,7 +130,7 @@ class PointFates:
 def judge(
     view: SurfaceView, surface: HeapSurface, truth: GroundTruth, depth: DepthMap, *, wrong_m: float
 ) -> PointFates:
-    """Return the fate of each surface point; its error is the error of the pixel that sees it."""
+    """Return the fate and the error of each surface point, from the pixel that sees the point."""
     pixel = (view.row, view.column)
     own = truth.instance[pixel] == surface.instance
     error_m = np.where(own, depth.depth_m[pixel] - truth.depth_m[pixel], np.nan)
@@ -158,14 +158,15 @@ def judge(
 def figures(
     scene: Scene, view: SurfaceView, surface: HeapSurface, fates: PointFates, *, seconds: float
 ) -> dict[str, Any]:
-    """Return a setting's figures over a heap's open surface; None if nothing was measured.
+    """Return a setting's figures over a heap's open surface.
 
-    Each place counts by the surface's `weight`: as much as it shows in views from above.
+    Each point counts by its `weight`, which is its visibility from above. The figures below are
+    None if nothing was measured.
 
-    `sigma_m` is half the range of the errors' middle 68.3 %, so that a few wrong ones do not count;
-    `bias_m` their median. `pixel_m` is what a pixel of the coarser device covers, the median over
-    what is measured, and `feature_m` the side of the smallest cube on a flat surface that is seen:
-    as wide as `FEATURE_PX` pixels and as high as `FEATURE_SIGMAS` sigma.
+    `sigma_m` is half the range of the middle 68.3 % of the errors, which ignores a few wrong
+    depths, and `bias_m` is their median. `pixel_m` is the median size of a pixel of the coarser
+    device on the measured surface. `feature_m` is the side of the smallest cube that is visible on
+    a flat surface: it is at least `FEATURE_PX` pixels wide and `FEATURE_SIGMAS` sigma high.
     """
     weight = surface.weight / surface.weight.sum()
     share = dict(zip(FATES, np.bincount(fates.fate, weight, len(FATES)).tolist(), strict=True))
@@ -205,9 +206,9 @@ def _quantiles(
 def picture_png(
     gray: UInt8[np.ndarray, "h w"], view: SurfaceView, surface: HeapSurface, fates: PointFates
 ) -> bytes:
-    """Return a PNG file of the open surface's points as the camera sees them, on the white frame.
+    """Return a PNG file: the white frame, and the same with points of the open surface by fate.
 
-    A point colours its pixel and the eight around it; points that were not measured are on top.
+    A point colours its pixel and the eight pixels around; unmeasured points cover measured ones.
     """
     gray, fate = srgb_of_bytes(gray), fates.fate
     visible = surface.opened & (view.camera == Visibility.VISIBLE)
@@ -226,7 +227,7 @@ def picture_png(
 
 
 def _legend(height_px: int, fate: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the fates that occur, with their colours."""
+    """Return a picture of the legend: the fates that occur, with their colours."""
     image = np.full((height_px, _LEGEND_PX, 3), 255, dtype=np.uint8)
     row = 20
     for number in np.unique(fate).tolist():

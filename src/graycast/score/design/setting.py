@@ -1,4 +1,4 @@
-"""The settings of a design study, and the cell that each of them makes."""
+"""The settings of a design study, and the cell for each setting."""
 
 from collections import Counter
 from dataclasses import astuple, dataclass, replace
@@ -25,7 +25,7 @@ from .study import DesignSpec, SweepSection
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """One combination of a sweep; None keeps the cell's own value."""
+    """One combination in a sweep; None keeps the cell's value."""
 
     rig: str | None = None
     resolution: str | None = None
@@ -54,7 +54,7 @@ class Setting:
 
     @property
     def lit(self) -> "Setting":
-        """The setting without code and exposure, on which the rendered light does not depend."""
+        """The setting without code and exposure, which do not change the rendered light."""
         return replace(self, code=None, exposure=None)
 
 
@@ -62,7 +62,7 @@ def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
     """Return all settings of a study, in the order of its file.
 
     Raises:
-        ConfigError: two settings have one name.
+        ConfigError: two settings have the same name.
     """
     settings = []
     for sweep in spec.sweeps:
@@ -81,15 +81,15 @@ def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placed:
-    """A setting with its cell, which has its rig, place, code, exposure and bin."""
+    """A setting with the cell that has the setting's rig, pose, code, exposure and bin."""
 
     setting: Setting
     cell: Cell
 
     def described(self, spec: DesignSpec) -> dict[str, Any]:
-        """Everything that the figures depend on, for JSON; it is compared with earlier results.
+        """Return all values that the figures depend on, for JSON and the check of earlier results.
 
-        The number of layouts is none of it: more of them may be added later.
+        The number of layouts is left out, because layouts can be added later.
         """
         cell = self.cell
         beside = {"cell", "title", "layouts", "codes", "exposures", "bins", "sweeps", "needs"}
@@ -106,10 +106,10 @@ class Placed:
 def place_settings(
     spec: DesignSpec, settings: tuple[Setting, ...], *, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Placed, ...]:
-    """Return the cells of a study's settings; `progress` notes each impossible setting.
+    """Return the settings of a study with their cells, without impossible ones (`progress` notes).
 
     Raises:
-        ConfigError: the cell's file or none of the settings can be used; the text names it.
+        ConfigError: the file of the cell cannot be used, or no setting can; the message says why.
     """
     config = load_config(spec.cell)
     if config.domain is not None:
@@ -178,7 +178,7 @@ def _config(spec: DesignSpec, config: Config, setting: Setting) -> Config:
 def _refuse_out_of_range(
     rig: Rig, T_world_cam: Float[np.ndarray, "4 4"], bounds_m: Float[np.ndarray, "2 3"]
 ) -> None:
-    """Refuse a bin that is completely outside of the rig's working range."""
+    """Raise an error if the bin is completely outside of the rig's working range."""
     corners = np.stack(np.meshgrid(*bounds_m.T), axis=-1).reshape(-1, 3)
     z_m = transform_points(inverse(T_world_cam), corners)[:, 2]
     if z_m.max() < rig.near_m or z_m.min() > rig.far_m:
@@ -189,7 +189,7 @@ def _refuse_out_of_range(
 
 
 def lights_of(placed: tuple[Placed, ...]) -> tuple[tuple[Placed, ...], ...]:
-    """Return groups of settings with one rendering: only code and exposure differ."""
+    """Return groups of settings that share a rendering: they differ only in code and exposure."""
     groups: dict[tuple[object, ...], list[Placed]] = {}
     for one in placed:
         groups.setdefault(astuple(one.setting.lit), []).append(one)

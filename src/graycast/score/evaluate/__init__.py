@@ -1,4 +1,4 @@
-"""Scores of detections, poses and depth; it imports nothing that it scores."""
+"""Scores of detections, poses and depth; imports no code that it scores."""
 
 from .depth import DEPTH, evaluate_depth, write_depth
 from .judgement_files import EVALUATION, Evaluation, evaluation_json, summary, write_evaluation

@@ -1,10 +1,10 @@
-"""The scanner's depth against perfect depth by angle of incidence: bias, noise, spikes, holes.
+"""Bias, noise, spikes and holes of the scanner's depth by angle of incidence.
 
 `graycast dataset stats` has the same figures over all angles and over the parts. The angle is
-between the camera's ray and the normal of the perfect surface, from central differences of its
-points: exact for planes. Where a pixel's neighbours do not lie on one surface (a step, a crease,
-the border of the picture or of perfect depth) there is no such angle: these pixels are a row of
-their own.
+between the camera's ray and the normal of the perfect surface. The normal is from central
+differences of the surface's points, which are exact for planes. A pixel has no such angle if its
+neighbours are not on one surface (at a step, a crease, or the border of the picture or of perfect
+depth); these pixels have a separate row.
 """
 
 import itertools
@@ -48,11 +48,11 @@ _KINK = 0.5  # Largest distance along the ray from the middle of the neighbours,
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthRow:
-    """Pixels with perfect depth within a range of angles.
+    """Figures of the pixels with perfect depth in a range of angles.
 
     Attributes:
-        name: `10 to 20 deg`, or `edges`.
-        reason: share of the pixels for each reason, `decoded` being those with a depth.
+        name: name of the range, such as `10 to 20 deg`, or `edges`.
+        reason: share of the pixels for each reason; `decoded` is the share with a depth.
         error: errors of the pixels with a depth; errors beyond 1 and 5 mm are spikes.
     """
 
@@ -72,7 +72,7 @@ def evaluate_depth(
 
     Raises:
         DatasetError: the dataset cannot be read.
-        GraycastError: it does not hold both depths.
+        GraycastError: the dataset does not have both measured and perfect depth.
     """
     stored = open_dataset(dataset)
     if lacks := sorted({"depth", "depth_sl"} - stored.holds):
@@ -91,9 +91,9 @@ def evaluate_depth(
 
 
 def depth_rows(scenes: Iterable[SceneContent]) -> dict[str, list[DepthRow]]:
-    """Return rows over all pixels and the visible parts, for each range of angles and edges.
+    """Return a row for each range of angles and for edges, over all pixels and over visible parts.
 
-    Every scene is read once.
+    Each scene is read only once.
     """
     everything, parts, scale_mm = _Tally(), _Tally(), 0.0
     for scene in scenes:
@@ -107,7 +107,7 @@ def depth_rows(scenes: Iterable[SceneContent]) -> dict[str, list[DepthRow]]:
 
 
 def rows_of_pixels(scene: SceneContent) -> Int[np.ndarray, "h w"]:
-    """Return the row that counts each pixel; -1 where there is no perfect depth."""
+    """Return the index of each pixel's row; -1 for pixels without perfect depth."""
     assert scene.depth is not None
     angle = incidence_rad(
         np.where(scene.depth > 0, scene.depth * (scene.depth_scale_mm / 1000), np.nan),
@@ -125,12 +125,12 @@ def incidence_rad(
     K: Float[np.ndarray, "3 3"],
     distortion: tuple[float, ...],
 ) -> Float[np.ndarray, "h w"]:
-    """Return the angle between camera ray and surface normal; NaN without a single surface.
+    """Return the angle between camera ray and surface normal; NaN at edges of the surface.
 
     Args:
-        depth_m: z of the camera frame, NaN where there is none.
-        K: the centre of the top-left pixel is (0, 0).
-        distortion: k1, k2, p1, p2, k3 of OpenCV.
+        depth_m: z in the camera frame, NaN without depth.
+        K: camera matrix in pixels; the centre of the top-left pixel is (0, 0).
+        distortion: OpenCV's coefficients k1, k2, p1, p2, k3.
     """
     y, x = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]].astype(float)
     direction = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1]], axis=-1)
@@ -150,7 +150,7 @@ def incidence_rad(
 def _smooth(
     depth_m: Float[np.ndarray, "h w"], K: Float[np.ndarray, "3 3"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return whether each pixel is on a plane with its neighbours, where 1/z is linear.
+    """Return whether each pixel is on a plane with its neighbours (on a plane, 1/z is linear).
 
     The difference of 1/z from the mean of its neighbours is converted to a depth and compared
     with their spacing on a facing surface, z / f.
@@ -171,7 +171,7 @@ def _with_border(image: Float[np.ndarray, "h w *n"]) -> Float[np.ndarray, "h2 w2
 
 
 class _Tally:
-    """Errors in steps of depth and reasons, counted for each row."""
+    """Counts of errors (in steps of depth) and of reasons for each row."""
 
     def __init__(self) -> None:
         self._steps = [Counter[int]() for _ in range(EDGE + 1)]
@@ -210,10 +210,10 @@ class _Tally:
 
 
 def write_depth(tables: Tables, folder: Path, *, colors: Mapping[str, str]) -> None:
-    """Fill a folder with `depth.json`, `depth.csv`, `depth.md` and `depth.png`.
+    """Write `depth.json`, `depth.csv`, `depth.md` and `depth.png` into a folder.
 
     Args:
-        colors: colours of the reasons, in the order in which they are listed.
+        colors: colour of each reason, in the order of the legend.
 
     Raises:
         GraycastError: the folder cannot be written.
@@ -236,7 +236,7 @@ def write_depth(tables: Tables, folder: Path, *, colors: Mapping[str, str]) -> N
 
 
 def depth_markdown(tables: Tables) -> str:
-    """Return a table for all pixels and one for the parts; rows without pixels are left out."""
+    """Return Markdown tables for all pixels and for the parts, without rows that have no pixels."""
     texts = ["# The scanner's depth against perfect depth, by angle of incidence"]
     heads = ["angle", "pixels", "decoded", "bias", "sigma", "> 1 mm", "> 5 mm", "holes"]
     for name, rows in tables.items():
@@ -267,7 +267,7 @@ def _figures(row: DepthRow, reasons: Sequence[str]) -> list[str]:
 
 
 def _reasons(tables: Tables, order: Iterable[str]) -> list[str]:
-    """Return the reasons that occur, in the given order; others come last."""
+    """Return the reasons that occur: first those in `order`, then the rest."""
     reasons_there = {name for rows in tables.values() for row in rows for name in row.reason}
     first = [name for name in order if name in reasons_there and name != "decoded"]
     return first + sorted(reasons_there - {"decoded", *first})

@@ -1,18 +1,18 @@
 """Confidence intervals of the figures by the bootstrap over scenes.
 
-Parts of one scene share light and clutter, and so do its pictures from several views. Scenes are
-therefore resampled, and not parts or pictures. Each draw takes as many scenes as there are, with
-repetition; detections are matched once.
+The parts of a scene share light and clutter, and so do its pictures from several views. Therefore
+whole scenes are resampled, not parts or pictures. Each draw takes n of the n scenes, with
+repetition; detections are matched only once.
 
-Percentiles of such draws are too narrow for few scenes, by the factor sqrt((n - 1) / n) and by
-what Student's t is wider than the normal distribution. Both are put right by taking percentiles
-farther out: at five scenes nearly the least and the greatest draw.
+Percentiles of such draws are too narrow for few scenes: by the factor sqrt((n - 1) / n), and
+because Student's t distribution is wider than the normal distribution. Percentiles farther out
+correct both errors; for five scenes they are nearly the smallest and the largest draw.
 
-Average precision is no mean over scenes, so more than half of the draws may lie above the estimate.
-With the share p of draws below it and z0 = Phi^-1(p), the limits are the percentiles
-Phi(2 z0 - z) and Phi(2 z0 + z) instead of Phi(-z) and Phi(z): the bias-corrected interval, which
-contains the estimate. The correction is limited to z / 2, where one limit is the median of the
-draws; an estimate that lies beyond all that is itself the other limit.
+Average precision is not a mean over scenes, so more than half of the draws may exceed the estimate.
+With the share p of draws below the estimate and z0 = Phi^-1(p), the limits are the percentiles
+Phi(2 z0 - z) and Phi(2 z0 + z) instead of Phi(-z) and Phi(z). This bias-corrected interval contains
+the estimate. The correction z0 is limited to z / 2, at which one limit is the median of the draws.
+If the estimate is still outside of the interval, the interval is extended to it.
 
 Sources: Hesterberg, "What Teachers Should Know About the Bootstrap", The American Statistician
 69(4), 2015 (section 5.3, expanded percentile interval); Efron, "Nonparametric Standard Errors and
@@ -39,14 +39,14 @@ _EQUAL = 1e-12  # Resampled values this near to the estimate differ from it by r
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """A figure with its 95 % confidence interval; NaN if the interval is not known."""
+    """A figure with its 95 % confidence interval; the limits are NaN if unknown."""
 
     value: float
     low: float
     high: float
 
     def text(self, form: str = ".3f", *, unit: str = "", none: str = "none") -> str:
-        """Return the figure in a format and, in brackets, its limits; `none` where it is NaN."""
+        """Return the formatted figure with its limits in brackets; `none` if the figure is NaN."""
         if math.isnan(self.value):
             return none
         text = f"{self.value:{form}}{unit}"
@@ -55,7 +55,7 @@ class Interval:
         return f"{text} ({self.low:{form}} to {self.high:{form}})"
 
     def cells(self) -> list[str]:
-        """Return value and limits for a spreadsheet, empty where they are not known."""
+        """Return the value and its limits as cells of a spreadsheet; unknown numbers are empty."""
         numbers = (self.value, self.low, self.high)
         return ["" if math.isnan(x) else f"{x:.6f}" for x in numbers]
 
@@ -65,7 +65,7 @@ def draw_scenes(
 ) -> Int[np.ndarray, "draws pictures"]:
     """Return how often each draw contains each picture's scene.
 
-    Draws are equal for results of equally many scenes. `scene_of` is the scene of each picture.
+    Equal seeds and numbers of scenes give equal draws. `scene_of` is the scene of each picture.
     """
     ids, place = np.unique(np.asarray(scene_of), return_inverse=True)
     even = np.full(len(ids), 1 / len(ids))
@@ -74,10 +74,10 @@ def draw_scenes(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BootstrapFigure:
-    """A figure with its value in each draw, so that sums of figures also get intervals.
+    """A figure with its value in each draw, so that differences and means also get intervals.
 
-    Figures of the same scenes from the same seed are paired: their difference has the interval of
-    the paired difference. Figures of different sets of scenes come from different seeds.
+    Figures from the same scenes and seed are paired, so their difference has the interval of a
+    paired difference. Figures from different sets of scenes need different seeds.
     """
 
     value: float
@@ -102,7 +102,7 @@ class BootstrapFigure:
 def figures_with_draws(
     scores: Scores, times: Int[np.ndarray, "draws pictures"]
 ) -> dict[str, BootstrapFigure]:
-    """Return `FIGURES` of the scores, each with its draws."""
+    """Return each of `FIGURES` with its values in the draws."""
     return {
         name: BootstrapFigure(value=getattr(scores, name), draws=draws, scenes=scores.scenes)
         for name, draws in figures_of_draws(scores.matches, times).items()
@@ -110,17 +110,17 @@ def figures_with_draws(
 
 
 def with_intervals(scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> dict[str, Interval]:
-    """Return `FIGURES` of the scores, each with its interval."""
+    """Return each of `FIGURES` with its interval."""
     return {name: figure.interval for name, figure in figures_with_draws(scores, times).items()}
 
 
 def differences(
     scores: Scores, other: Scores, times: Int[np.ndarray, "draws pictures"]
 ) -> dict[str, Interval]:
-    """Return `FIGURES` of the scores minus the other's, with the same scenes in every draw.
+    """Return the differences of `FIGURES` between two scores, paired by the scenes of each draw.
 
     Raises:
-        GraycastError: they are of different scenes.
+        GraycastError: the scores are from different scenes.
     """
     if scores.scene_ids != other.scene_ids:
         raise GraycastError(
@@ -132,12 +132,12 @@ def differences(
 
 
 def bootstrap(scores: Scores, figure: str, *, seed: int) -> BootstrapFigure:
-    """Return one of `FIGURES` of the scores, with its draws."""
+    """Return one of `FIGURES` with its values in the draws."""
     return figures_with_draws(scores, draw_scenes(scores.scene_of, seed=seed))[figure]
 
 
 def mean(figures: Sequence[BootstrapFigure]) -> BootstrapFigure:
-    """Return the mean of figures of different sets of scenes."""
+    """Return the mean of figures from different sets of scenes."""
     return BootstrapFigure(
         value=float(np.mean([each.value for each in figures])),
         draws=np.mean([each.draws for each in figures], axis=0),
@@ -148,7 +148,7 @@ def mean(figures: Sequence[BootstrapFigure]) -> BootstrapFigure:
 def interval_of(value: float, draws: Float[np.ndarray, " draws"], scenes: int) -> Interval:
     """Return the interval of a figure from its draws; it always contains the figure.
 
-    Draws that have nothing to find are NaN; they tell nothing and are left out.
+    Draws without instances to find are NaN and are ignored.
     """
     draws = draws[~np.isnan(draws)]
     if scenes < 2 or not len(draws):

@@ -1,4 +1,4 @@
-"""Plots of a judgement, and sheets of its worst mistakes: crops with the outlines of both sides."""
+"""Plots of a judgement, and sheets of its worst mistakes: crops with true and detected outlines."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -40,7 +40,7 @@ _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 def draw_precision_recall(
     judgements: Sequence[Judgement], categories: Mapping[int, str], path: Path
 ) -> None:
-    """Draw a panel for boxes and one for masks, and panels of the classes if there are several."""
+    """Draw precision-recall curves: a panel for boxes and for masks, and panels for the classes."""
     several = len(judgements[0].scores.matches) > 1
     panels = 2 if several else 1
     count = panels * len(judgements)
@@ -54,7 +54,7 @@ def draw_precision_recall(
 
 
 def draw_groups(judgements: Sequence[Judgement], path: Path) -> None:
-    """Draw the average precision of each group, a panel for each grouping; no file if none."""
+    """Draw the average precision of each group; write no file if there are no groups."""
     ways = list(dict.fromkeys(row.by for row in judgements[0].rows if row.by != "all"))
     if not ways:
         return
@@ -65,7 +65,7 @@ def draw_groups(judgements: Sequence[Judgement], path: Path) -> None:
 
 
 def _curves(judgement: Judgement) -> dict[int, Float[np.ndarray, "t recalls"]]:
-    """Return the precision curves of the classes of which there are instances to find."""
+    """Return the precision curves of the classes that have instances to find."""
     return {
         obj_id: precision_curves(one)
         for obj_id, one in judgement.scores.matches.items()
@@ -140,7 +140,7 @@ def _whisker(ax: Axes, x: float, row: GroupRow) -> None:
 
 
 def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> None:
-    """Draw the most visible instances that were missed; no file if there are none."""
+    """Draw the most visible missed instances; write no file if no instance was missed."""
     least = judgement.point.score
     threshold = "" if np.isnan(least) else f"; red: what was found from a score of {least:.2f} on"
     crops = []
@@ -154,7 +154,7 @@ def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> None:
 
 
 def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> None:
-    """Draw the detections with the highest scores that found nothing; no file if there are none."""
+    """Draw the false alarms with the highest scores; write no file if there are no false alarms."""
     crops = []
     for alarm in judgement.false_alarms[:MOST_CROPS]:
         head = f"scene {judgement.known.labels[alarm.scene].scene_id}, score {alarm.score:.2f}"
@@ -176,7 +176,7 @@ def _draw_sheet(
     picture: Picture,
     path: Path,
 ) -> None:
-    """Draw crops of mistakes, each with its title, on one sheet."""
+    """Draw crops of mistakes with their titles on one sheet."""
     if not crops:
         return
     rows = -(-len(crops) // _COLUMNS)
@@ -230,7 +230,7 @@ def _mask_of(
 
 
 def _window(box: Float[np.ndarray, "4"], size_px: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Return the sides of a square around a box, cut off where the picture ends."""
+    """Return the borders of a square around a box, clipped to the picture."""
     side = max(box[2], box[3]) * (1 + 2 * _MARGIN)
     half = max(side, _LEAST_PX) / 2
     x, y = box[0] + box[2] / 2, box[1] + box[3] / 2

@@ -1,4 +1,4 @@
-"""The labels of a picture: the instances that are to be found."""
+"""The labels of a picture: the instances that a detector should find."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,19 +19,19 @@ MIN_VISIBILITY = IGNORED_BELOW
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labels:
-    """The instances of one picture of which something is visible.
+    """The instances in one picture that are at least partly visible.
 
     Attributes:
-        scene_id: the number of the picture in its dataset: the scene's if it has one picture.
-        scene: the scene that the picture is of.
-        size_px: height and width of the picture; None where the example held no picture.
+        scene_id: number of the picture in its dataset; the scene's number if it has one picture.
+        scene: number of the picture's scene.
+        size_px: height and width of the picture; None if the example has no picture.
         obj_id: object id of each instance.
-        box_px: [x, y, columns, rows] of the visible masks, as detections have them.
-        mask: visible mask of each instance, as compressed run lengths; None without masks.
-        ignored: too hidden to count: it need not be found, and a detection there is no mistake.
+        box_px: [x, y, columns, rows] of each visible mask, as for detections.
+        mask: visible mask of each instance as compressed run lengths; None without masks.
+        ignored: whether the instance is too hidden to count; a detection of it is no mistake.
         visib_fract: visible share of each silhouette; None if unknown.
-        missing: share of each visible mask where the scanner has no depth; None if unknown.
-        instance: places in the dataset's `scene_gt.json`; None where there is no such file.
+        missing: share of each visible mask without scanner depth; None if unknown.
+        instance: index of each instance in the dataset's `scene_gt.json`; None without that file.
     """
 
     scene_id: int
@@ -55,10 +55,10 @@ class Labels:
 
 
 def labels_of(example: Example, *, min_visibility: float, scene: int | None = None) -> Labels:
-    """Return the labels of an example; ignore instances with a smaller visible share.
+    """Return the labels of an example; instances below `min_visibility` are marked as ignored.
 
-    Where the visible share is unknown, no instance is ignored. `scene` is the scene of a picture
-    if a scene has several.
+    If visible shares are unknown, no instance is ignored. `scene` is the scene of the picture if
+    scenes have several pictures.
 
     Raises:
         GraycastError: the example has no labels.
@@ -83,7 +83,7 @@ def labels_of(example: Example, *, min_visibility: float, scene: int | None = No
 
 
 def run_lengths_of(mask: Bool[np.ndarray, "n h w"]) -> tuple[dict[str, Any], ...]:
-    """Return masks as COCO's compressed run lengths."""
+    """Return masks as compressed run lengths in COCO's format."""
     if not len(mask):
         return ()
     columns = np.asfortranarray(mask.transpose(1, 2, 0).astype(np.uint8))

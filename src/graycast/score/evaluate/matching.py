@@ -1,10 +1,10 @@
 """The matching of detections and instances by COCO's rule, for all thresholds at once.
 
-Within a scene and a class the detections take, best score first, the instance that they overlap
-most among those not yet taken, if they overlap it enough. An instance that counts goes before one
-that is ignored; ignored ones can be taken by many. The rule is that of pycocotools 2.0
-(`COCOeval.evaluateImg`), which is slow. faster-coco-eval 1.8 gives the matches of its lowest
-threshold alone, knows no `Group`, and would take 4 to 8 s for 1000 draws that take 0.2 s here.
+Within a scene and a class, the detections choose in the order of their scores. Each takes the free
+instance that it overlaps most, if the overlap reaches the threshold. Instances that count take
+precedence over ignored instances, which several detections can take. The rule is that of
+pycocotools 2.0 (`COCOeval.evaluateImg`), which is slow. faster-coco-eval 1.8 has no `Group`,
+returns matches only at its lowest threshold, and needs 4 to 8 s for 1000 draws (here 0.2 s).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,11 +29,11 @@ THRESHOLDS.flags.writeable = False
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """A scene's instances and detections of one class, and how they overlap.
+    """The instances and detections of one class in a scene, and their overlaps.
 
-    `instance` and `detection` are places in the scene's `Labels` and `Detections`; detections are
-    best first. `overlap` is intersection over union; over an ignored instance it is intersection
-    over the detection's area, COCO's rule for crowds.
+    `instance` and `detection` are indices into the scene's `Labels` and `Detections`. Detections
+    are in descending order of score. `overlap` is intersection over union or, for ignored
+    instances, intersection over the detection's area, as for crowds in COCO.
     """
 
     scene: int
@@ -47,13 +47,13 @@ class Pair:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overlaps:
-    """The overlaps of all detections and instances before the matching.
+    """The overlaps between all detections and instances, before the matching.
 
     Attributes:
-        labels: labels in the order of their scenes' ids.
-        detections: detections in the same scenes.
-        most: how many detections of a scene and a class were looked at.
-        pairs: for each class, the pairs in all scenes that have an instance or a detection of it.
+        labels: labels in the order of scene ids.
+        detections: detections in the same order.
+        most: largest number of detections of a class in a scene; further detections are left out.
+        pairs: for each class, a `Pair` for each scene with an instance or a detection of the class.
     """
 
     kind: Kind
@@ -66,15 +66,15 @@ class Overlaps:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassMatches:
-    """Detections of a class over all scenes, best first, and what they found.
+    """Detections of a class over all scenes, by descending score, and the instances they match.
 
     Attributes:
-        scene: place of each detection's scene among the scenes.
-        detection: its place in that scene's `Detections`.
-        instance: place in the scene's `Labels` of what it found, at each threshold; -1 for nothing.
-        hit: whether that is an instance that was to be found.
-        counted: whether it is a hit or a mistake; neither where it found something ignored.
-        to_find: instances to be found in each scene.
+        scene: index of each detection's scene among the scenes.
+        detection: index of the detection in the scene's `Detections`.
+        instance: index of the matched instance in the scene's `Labels`, by threshold; -1 for none.
+        hit: whether the matched instance is an instance to find.
+        counted: whether the detection is a hit or a mistake; False for a match that is ignored.
+        to_find: number of instances to find in each scene.
     """
 
     scene: Int[np.ndarray, " n"]
@@ -92,11 +92,11 @@ class Group:
 
     Attributes:
         by: quantity that defines the group.
-        low, high: share from which and to which instances belong to it, without `high` except in
-            the last group.
-        other_instances: those outside, which are ignored there too; they overlap as before, not as
-            crowds do.
-        other_detections: detections that are no mistakes there if they find nothing.
+        low, high: limits of the group's shares; `high` itself belongs only to the last group.
+        other_instances: function that returns a mask of the instances outside of the group, which
+            are ignored there; their overlap stays intersection over union, unlike that of crowds.
+        other_detections: function that returns a mask of the detections that are no mistakes in
+            the group if they match no instance; None if all such detections are mistakes.
     """
 
     by: str
@@ -116,8 +116,8 @@ def overlaps(
     """Compare every detection with every instance of its scene and class.
 
     Raises:
-        GraycastError: labels and detections are of different scenes or of pictures of different
-            sizes, or one of them has no masks to compare.
+        GraycastError: labels and detections have different scenes or different picture sizes, or
+            masks are missing in one of them.
     """
     if most < 1:
         raise ValueError(f"most is {most}; give at least 1")
@@ -142,7 +142,7 @@ def overlaps(
 
 
 def match(known: Overlaps, group: Group | None = None) -> dict[int, ClassMatches]:
-    """Match every detection; classes are keyed by their object id."""
+    """Match all detections of each class, and return the matches by object id."""
     return {obj_id: _match_class(known, pairs, group) for obj_id, pairs in known.pairs.items()}
 
 
@@ -160,7 +160,7 @@ def _check_scenes(labelled: list[int], detected: list[int]) -> None:
 
 
 def shapes(there: Labels, of_scene: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
-    """Return the boxes or run lengths of instances and of detections, to be compared."""
+    """Return the boxes or the run lengths of the instances, and those of the detections."""
     if kind == "box":
         return there.box_px.astype(float).tolist(), of_scene.box_px.astype(float).tolist()
     if there.mask is None:
@@ -246,9 +246,9 @@ def _match_class(known: Overlaps, pairs: tuple[Pair, ...], group: Group | None) 
 
 @kernel()
 def _take(overlap, ignored, shared, thresholds):
-    """Return the place of the instance that each detection takes, for each threshold; -1 for none.
+    """Return the index of the instance that each detection takes, for each threshold; -1 for none.
 
-    Among equal overlaps the later instance is taken, as by pycocotools.
+    Among equal overlaps, the last instance is taken, as in pycocotools.
     """
     detections, instances = overlap.shape
     place = np.full((len(thresholds), detections), -1, dtype=np.int64)

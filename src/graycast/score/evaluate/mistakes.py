@@ -1,8 +1,8 @@
 """Missed instances and false alarms of detections at a working point.
 
-The working point is the score from which detections count. The one that is chosen here has the best
-F1 (harmonic mean of precision and recall at an overlap of 0.5) over all classes of the scenes that
-are judged, so it is a little better there than elsewhere.
+The working point is a threshold on the score. Its F1 (harmonic mean of precision and recall at an
+overlap of 0.5) is the best over all classes in the judged scenes, so results in other scenes are
+slightly worse.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ Why = Literal["found twice", "badly placed", "another class", "nothing there"]
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkingPoint:
-    """Precision and recall of detections above a score, at an overlap of 0.5."""
+    """A threshold on the score, with precision and recall at an overlap of 0.5."""
 
     score: float
     precision: float
@@ -35,10 +35,10 @@ class WorkingPoint:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Miss:
-    """An instance that should have been found and was not.
+    """An instance to find that no detection matches.
 
-    `scene` and `instance` are places among the scenes and in its `Labels`. `overlap` and `score`
-    are of the detection that overlaps it most, of whatever score and class; 0 and NaN for none.
+    `scene` is an index among the scenes, `instance` an index in its `Labels`. `overlap` and `score`
+    are from the detection (of any class and score) with the largest overlap; 0 and NaN if none.
     """
 
     scene: int
@@ -50,7 +50,7 @@ class Miss:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FalseAlarm:
-    """A detection of nothing that was to be found; `overlap` is with what is nearest."""
+    """A detection that matches no instance to find; `overlap` is with the instance behind `why`."""
 
     scene: int
     detection: int
@@ -80,7 +80,7 @@ def working_point(matches: Mapping[int, ClassMatches]) -> WorkingPoint:
 
 
 def misses(known: Overlaps, matches: Mapping[int, ClassMatches], least: float) -> list[Miss]:
-    """Return instances that no detection of at least that score finds, most visible first."""
+    """Return the instances that no detection with a score >= `least` finds, most visible first."""
     hits = {
         (int(scene), int(instance))
         for one in matches.values()
@@ -100,7 +100,7 @@ def misses(known: Overlaps, matches: Mapping[int, ClassMatches], least: float) -
 def false_alarms(
     known: Overlaps, matches: Mapping[int, ClassMatches], least: float
 ) -> list[FalseAlarm]:
-    """Return mistakes with at least that score, the surest first."""
+    """Return the false alarms with a score of `least` or more, by descending score."""
     alarms = []
     for one in matches.values():
         wrong = one.counted[AT_HALF] & ~one.hit[AT_HALF] & (one.score >= least)
@@ -132,7 +132,7 @@ def _miss(known: Overlaps, scene: int, instance: int) -> Miss:
 
 
 def _visible(known: Overlaps, miss: Miss) -> float:
-    """Return the visible share or, if it is unknown, the box's area."""
+    """Return the instance's visible share or, if it is unknown, the area of its box."""
     labels = known.labels[miss.scene]
     if labels.visib_fract is not None:
         return float(labels.visib_fract[miss.instance])
@@ -161,7 +161,7 @@ def _overlaps(
     detection: Int[np.ndarray, " d"],
     instance: Int[np.ndarray, " g"],
 ) -> Float[np.ndarray, "d g"]:
-    """Return the intersection over union of all pairs, regardless of class."""
+    """Return the intersection over union for all pairs of detection and instance, of any class."""
     if not (len(detection) and len(instance)):
         return np.zeros((len(detection), len(instance)))
     instances, detections = shapes(known.labels[scene], known.detections[scene], known.kind)

@@ -1,4 +1,4 @@
-"""Errors of estimated poses as BOP defines them.
+"""Errors of estimated poses by BOP's definitions.
 
 Source: T. Hodan et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2020, section 2.2;
 "BOP Challenge 2024 on Model-Based and Model-Free 6D Object Pose Estimation" keeps the three errors
@@ -24,10 +24,10 @@ def rotation_translation(
 ) -> tuple[float, float]:
     """Return the angle [rad] and distance [m] between poses, modulo the part's symmetry.
 
-    Of the motions that leave the part as it is, the one with the least angle is taken.
+    The angle and distance are for the symmetry motion with the smallest angle.
 
     Args:
-        middle_m: the point of the part whose distance is meant; its origin if left out.
+        middle_m: point of the part at which the distance is measured; None for its origin.
     """
     alike = T_true @ motions
     R = np.einsum("ij,nik->njk", T_estimate[:3, :3], alike[:, :3, :3])
@@ -63,8 +63,8 @@ def mspd(
 ) -> float:
     """Return the maximum symmetry-aware projection distance, in pixels of a picture 640 wide.
 
-    As BOP's camera matrix says, without lens distortion. Infinite if a vertex lies behind the
-    camera at the estimated pose.
+    As in BOP, the projection is by the camera matrix, without lens distortion. The distance is
+    infinite if a vertex is behind the camera at the estimated pose.
     """
     vertices = np.ascontiguousarray(vertices_m, np.float64)
     focal = np.array([camera.fx_px, camera.fy_px])
@@ -83,11 +83,11 @@ def vsd(
 ) -> Float[np.ndarray, " t"]:
     """Return the visible surface discrepancy, 0 to 1, for each tolerance.
 
-    All three are distances from the camera's centre to the surface, not z; NaN where there is none.
-    A surface is visible where it is not more than `DELTA_M` behind the measured one, or nothing was
-    measured. The estimate is visible as well where the true surface is and the estimate has one.
-    The error is the share, of the pixels where either is visible, of those where but one is or both
-    differ by the tolerance or more. 1 where neither is visible.
+    The three maps hold distances from the camera's centre to a surface, not z; NaN for no surface.
+    A surface is visible in a pixel if it is at most `DELTA_M` behind the measured surface, or if
+    nothing was measured. The estimate also counts as visible where the true surface is visible.
+    VSD is the share of wrong pixels among those in which a surface is visible: only one surface is
+    visible, or the distances differ by the tolerance or more. VSD is 1 if no surface is visible.
     """
     visible = _visible(true_m, measured_m)
     mine = _visible(estimate_m, measured_m) | (visible & np.isfinite(estimate_m))
@@ -109,7 +109,7 @@ def _visible(surface_m: np.ndarray, measured_m: np.ndarray) -> np.ndarray:
 
 @kernel(nogil=True, error_model="numpy")
 def _least_greatest(apart, vertex):
-    """Give up a motion once a vertex is farther than the best motion's farthest."""
+    """Return the least over motions of the greatest vertex distance; skip poor motions early."""
     least = np.inf
     for s in range(len(apart)):
         A, greatest = apart[s], 0.0

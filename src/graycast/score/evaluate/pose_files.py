@@ -1,4 +1,4 @@
-"""Scoring of a file of estimated poses against a dataset, and the files of the figures."""
+"""Evaluation of a file of estimated poses against a dataset, and its output files."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -37,10 +37,10 @@ _UNIT = 10.0  # In the same unit, estimates and parts differ in distance by at m
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseEvaluation:
-    """Everything about one file of poses.
+    """An evaluation of one file of poses: its subject, its settings and its results.
 
     Attributes:
-        seconds: the median time of a picture; NaN where the file does not tell.
+        seconds: median time per picture; NaN if the file has no times.
     """
 
     results: str
@@ -62,7 +62,7 @@ def evaluate_poses(
     protocol: Protocol,
     progress: ProgressMeter = UNWATCHED,
 ) -> PoseEvaluation:
-    """Judge a file of BOP's results by a dataset's poses.
+    """Return the evaluation of a file in BOP's format against the true poses of a dataset.
 
     Raises:
         GraycastError: the file or the dataset is missing or damaged, or they do not fit together.
@@ -101,10 +101,10 @@ def pose_rows(
     categories: Mapping[int, str],
     protocol: Protocol,
 ) -> tuple[GroupRow, ...]:
-    """Return `FIGURES` of all parts, then of each if there are several; draws take whole scenes.
+    """Return `FIGURES` over all parts, then for each part if there are several.
 
-    The last two figures are medians. `scene_of` is the scene of each picture, by the numbers of the
-    pictures that `counts` have.
+    The last two figures are medians. Intervals come from draws of whole scenes. `scene_of` maps the
+    number of each picture in `counts` to its scene.
     """
     times = draw_scenes(list(scene_of.values()), seed=protocol.seed, draws=protocol.draws)
     rows = [_pose_row("all", "all", counts, scene_of, times)]
@@ -154,7 +154,7 @@ def _pose_row(
 def _median(
     of_picture: list[list[float]], times: Int[np.ndarray, "draws pictures"], scenes: int
 ) -> Interval:
-    """Return the median of all found, each picture's as often as its scene is drawn."""
+    """Return the median error with its interval; draws weight each picture by its scene."""
     values = np.array([x for errors in of_picture for x in errors])
     if not len(values):
         return Interval(value=float("nan"), low=float("nan"), high=float("nan"))
@@ -167,7 +167,7 @@ def _median(
 
 
 def _of_first_scanner(examples: Examples) -> dict[tuple[int, int], int]:
-    """The pictures by scene and image; a file of results has no word for further scanners."""
+    """Return pictures by scene and image; results in BOP's format do not name other scanners."""
     sensors = [sensor for _, sensor, _ in examples.place_of.values()]
     return {
         (scene_id, image): picture
@@ -200,7 +200,7 @@ def _by_picture(
 
 
 def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: PictureTruth) -> None:
-    """Refuse poses whose distances from the camera suggest another unit than the parts'."""
+    """Refuse poses if their distances from the camera suggest that the unit is not millimetres."""
     if not estimates:
         return
     estimated_m = np.median([np.linalg.norm(one.T_cam_part[:3, 3]) for one in estimates])
@@ -236,7 +236,7 @@ def _truth(dataset: Path, example: Example, min_visibility: float) -> PictureTru
 
 
 def write_poses(evaluation: PoseEvaluation, folder: Path) -> None:
-    """Fill a folder with `poses.json`, `poses.csv` and `poses.md`."""
+    """Write `poses.json`, `poses.csv` and `poses.md` into a folder."""
     content = plain(
         {
             "results": evaluation.results,
@@ -270,7 +270,7 @@ def write_poses(evaluation: PoseEvaluation, folder: Path) -> None:
 
 
 def poses_markdown(evaluation: PoseEvaluation) -> str:
-    """Return a sentence and a table."""
+    """Return a Markdown sentence and a table with the figures."""
     time = (
         "" if np.isnan(evaluation.seconds) else f" {evaluation.seconds:.2f} s a picture (median)."
     )

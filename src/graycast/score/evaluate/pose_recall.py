@@ -1,8 +1,8 @@
-"""Recalls of estimated poses as BOP counts them, picture by picture.
+"""Counts of correct poses in each picture by BOP's rules.
 
-Source: as `pose_errors`; section 2.3 of BOP 2020 for the counting: of each object the estimates of
-the highest scores, as many as there are instances to find, take instances in that order; an
-instance is to be found if at least 10 % of it are visible.
+The sources are those of `pose_errors`. The counting follows section 2.3 of BOP 2020: if an object
+has n instances to find, its n estimates with the highest scores choose instances in the order of
+their scores. An instance is to be found if at least 10 % of it is visible.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,8 +31,8 @@ class PictureTruth:
     """Truth of one picture: the camera, the depth, and the poses of the parts.
 
     Attributes:
-        measured_m: the scanner's z [m], NaN where there is none.
-        to_find: whether an instance counts (visible enough).
+        measured_m: measured z [m], NaN without depth.
+        to_find: whether each instance is visible enough to count.
     """
 
     scene_id: int
@@ -45,7 +45,7 @@ class PictureTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """A part for the scoring: its shape [m], diameter and symmetry motions."""
+    """A part as scores need it: shape, diameter, middle and symmetry motions."""
 
     vertices_m: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
@@ -56,12 +56,12 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Counts:
-    """Counts and errors of one object in one picture, by each criterion.
+    """Counts of correct estimates of one object in one picture, and the errors of estimates.
 
     Attributes:
-        vsd: found, by tolerance and threshold; `mssd`, `mspd`: by threshold.
-        near: found within 5 degrees and 3 mm.
-        angle_rad, shift_m: of the estimates matched by MSSD within half a diameter.
+        vsd: counts by tolerance and threshold; `mssd` and `mspd` are counts by threshold.
+        near: count of estimates within 5 degrees and 3 mm.
+        angle_rad, shift_m: errors of the estimates that MSSD matches within half a diameter.
     """
 
     scene_id: int
@@ -76,7 +76,7 @@ class Counts:
 
 
 def solid_of(mesh: Mesh, symmetry: Symmetry, diameter_m: float) -> Solid:
-    """Return a part's shape, with BOP's steps of continuous symmetries."""
+    """Return a part for scoring; continuous symmetries are in steps as in BOP."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = mesh.vertices_m[used].astype(np.float64)
     return Solid(
@@ -91,7 +91,7 @@ def solid_of(mesh: Mesh, symmetry: Symmetry, diameter_m: float) -> Solid:
 def count_picture(
     truth: PictureTruth, estimates: Sequence[PoseEstimate], solids: Mapping[int, Solid]
 ) -> list[Counts]:
-    """Return the counts of each object that the picture has to find."""
+    """Return the counts for each object with instances to find in the picture."""
     candidates = []
     for obj_id in np.unique(truth.obj_id[truth.to_find]).tolist():
         there = np.flatnonzero((truth.obj_id == obj_id) & truth.to_find)
@@ -137,7 +137,7 @@ def _counted(
 
 
 def matched(error: Float[np.ndarray, "e n"], threshold: float) -> list[tuple[int, int]]:
-    """Give each estimate, best score first, the free instance with the least error below it."""
+    """Pair each estimate with the free instance of least error, if that is below `threshold`."""
     free = np.ones(error.shape[1], bool)
     pairs = []
     for i, row in enumerate(error):
@@ -155,7 +155,7 @@ def _vsd_of_pairs(
     estimates: Sequence[PoseEstimate],
     solid: Solid,
 ) -> Float[np.ndarray, "10 e n"]:
-    """Return VSD for each tolerance; it is 1, undrawn, if silhouettes share no pixel."""
+    """Return VSD for each tolerance and pair; 1 for pairs whose bounding boxes do not overlap."""
     height, width = truth.measured_m.shape
     y, x = np.mgrid[:height, :width].astype(np.float64)
     length = np.linalg.norm(rays(truth.camera, np.stack([x, y], axis=-1)), axis=-1)
@@ -176,7 +176,7 @@ def _vsd_of_pairs(
 def _distance(
     T: Float[np.ndarray, "4 4"], solid: Solid, camera: Optics, length: Float[np.ndarray, "h w"]
 ) -> tuple[Float[np.ndarray, "h w"], np.ndarray]:
-    """The drawn part's distances from the camera's centre, and the rows and columns it spans."""
+    """Return a map of distances from the camera's centre to the part, and its bounding box."""
     vertices = solid.vertices_m @ T[:3, :3].T + T[:3, 3]
     z = rasterize(vertices, solid.faces, camera).over(camera)[1]
     rows, columns = np.nonzero(np.isfinite(z))

@@ -1,4 +1,4 @@
-"""Results to judge: a file of COCO results, or a folder that `graycast detector find` wrote."""
+"""Detections to judge: a file of COCO results, or a folder from `graycast detector find`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ class DetectionRun:
 
     Attributes:
         path: path of the results.
-        scene_ids: the scenes that were looked at.
-        split: the set that they are of, and `division`, how the dataset was divided.
+        scene_ids: ids of the scenes in which the detector searched.
+        split: set of these scenes; `division` is the division of the dataset into sets.
         ms_per_picture: milliseconds per picture, in the order of the scenes.
     """
 
@@ -36,7 +36,7 @@ class DetectionRun:
 
     @property
     def name(self) -> str:
-        """Name of the folder that `graycast detector find` wrote, or else of the file."""
+        """Name of the folder from `graycast detector find`, or of the file of results."""
         path = self.path.resolve()
         return path.parent.name if self.scene_ids is not None else path.name
 
@@ -49,7 +49,7 @@ def open_run(path: Path) -> DetectionRun:
     """Open results, with the record of their run.
 
     Raises:
-        GraycastError: there are none, or `detect.json` is missing or damaged.
+        GraycastError: there are no results, or `detect.json` is missing or damaged.
     """
     if not path.is_dir():
         return DetectionRun(path=path)
@@ -69,10 +69,10 @@ def open_run(path: Path) -> DetectionRun:
 def read_detections(
     run: DetectionRun, scene_ids: Sequence[int], categories: Mapping[int, str]
 ) -> list[Detections]:
-    """Return the run's detections of some of its scenes.
+    """Return the detections in the given scenes.
 
     Raises:
-        GraycastError: the results are damaged, or of other scenes or objects.
+        GraycastError: the results are damaged, or have other scenes or objects.
     """
     scene_ids_of_run = scene_ids if run.scene_ids is None else run.scene_ids
     if odd := set(scene_ids) - set(scene_ids_of_run):

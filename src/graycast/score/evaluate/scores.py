@@ -1,12 +1,12 @@
 """Average precision and recall, as COCO defines them, also for bootstrap resamples of the scenes.
 
-A scene that is drawn twice counts twice: as two scenes with the same content. Where detections have
-equal scores, those of one scene come first and then those of the next, as for the scenes
-themselves. If each detection stood beside its own copies instead, runs of hits and of mistakes
-would be longer in draws than in the data, and with them average precision would be higher.
+A scene that is drawn twice counts as two scenes with the same content. Detections with equal scores
+are in the order of their scenes, and the copies of a scene come one after the other. If copies of a
+detection were adjacent instead, draws would have longer runs of hits and of mistakes than the data,
+which would raise average precision.
 
-Hits raise precision and recall together, mistakes lower precision alone, and the curve that COCO
-takes is the highest precision at a recall or above.
+A hit raises precision and recall; a mistake lowers only precision. COCO's curve is the highest
+precision at each recall or above.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,12 +34,12 @@ class Scores:
     """The scores of detections; NaN if there is nothing to find.
 
     Attributes:
-        ap: average precision, the mean over thresholds of 0.50 to 0.95 and over the classes.
-        ap50: average precision at a threshold of 0.50; `ap75` at 0.75.
-        ar: share of the instances that are found, the mean over the same thresholds and classes.
+        ap: average precision, the mean over thresholds from 0.50 to 0.95 and over the classes.
+        ap50, ap75: average precision at thresholds of 0.50 and 0.75, the mean over the classes.
+        ar: recall (share of instances found), the mean over the same thresholds and classes.
         scene_ids: ids of the pictures, in the order of `matches`.
-        scene_of: the scene of each picture; several views of a scene share one.
-        matches: by class, what intervals and pictures of mistakes need.
+        scene_of: scene of each picture; several views of a scene have the same scene.
+        matches: matches of each class, from which intervals and lists of mistakes are computed.
     """
 
     ap: float
@@ -63,24 +63,24 @@ class Scores:
 def score(
     labels: Sequence[Labels], detections: Sequence[Detections], *, kind: Kind, most: int = MOST
 ) -> Scores:
-    """Judge the detections of some scenes by their labels.
+    """Return the scores of detections in some scenes.
 
     Args:
         labels: labels of each scene, in any order.
-        detections: detections in each of these scenes, even if nothing was found.
-        kind: whether boxes or masks are compared.
-        most: how many detections of a scene and a class count, best first.
+        detections: detections in each of these scenes, including scenes without detections.
+        kind: `box` or `mask`, the outlines to compare.
+        most: largest number of detections of a class in a scene that count, by descending score.
 
     Raises:
-        GraycastError: labels and detections are of different scenes or of pictures of different
-            sizes, or one of them has no masks to compare.
+        GraycastError: labels and detections have different scenes or different picture sizes, or
+            masks are missing in one of them.
     """
     known = overlaps(labels, detections, kind=kind, most=most)
     return scores_of(match(known), known)
 
 
 def scores_of(matches: Mapping[int, ClassMatches], known: Overlaps) -> Scores:
-    """Return the figures of matched detections."""
+    """Return the scores of matched detections."""
     once = np.ones((1, len(known.labels)), dtype=np.int64)
     figures = {name: float(value[0]) for name, value in figures_of_draws(matches, once).items()}
     return Scores(
@@ -94,7 +94,7 @@ def scores_of(matches: Mapping[int, ClassMatches], known: Overlaps) -> Scores:
 def figures_of_draws(
     matches: Mapping[int, ClassMatches], times: Int[np.ndarray, "draws scenes"]
 ) -> dict[str, Float[np.ndarray, " draws"]]:
-    """Return `FIGURES` of each draw of scenes: means over the classes that the draw has to find."""
+    """Return `FIGURES` for each draw of scenes: means over the classes with instances to find."""
     if not matches:
         return {name: np.full(len(times), np.nan) for name in FIGURES}
     both = [class_figures(one, times) for one in matches.values()]
@@ -119,7 +119,7 @@ def _mean_of_known(value: Float[np.ndarray, "classes draws t"]) -> Float[np.ndar
 
 
 def precision_curves(matches: ClassMatches) -> Float[np.ndarray, "t recalls"]:
-    """Return the highest precision at each of `RECALLS` or above; NaN with nothing to find."""
+    """Return the highest precision at each of `RECALLS` or above; NaN if nothing is to be found."""
     curves = np.full((len(matches.hit), len(RECALLS)), np.nan)
     if wanted := int(matches.to_find.sum()):
         times = np.ones(len(matches.scene), dtype=np.int64)
@@ -131,7 +131,7 @@ def precision_curves(matches: ClassMatches) -> Float[np.ndarray, "t recalls"]:
 
 
 def _runs(matches: ClassMatches) -> Int[np.ndarray, " runs"]:
-    """Return the first index of each run of equal scene and score, and the end of the last run."""
+    """Return the start of each run of detections with equal scene and score, and the last end."""
     if not len(matches.score):
         return np.zeros(1, dtype=np.int64)
     new = (np.diff(matches.score) != 0) | (np.diff(matches.scene) != 0)
@@ -141,13 +141,13 @@ def _runs(matches: ClassMatches) -> Int[np.ndarray, " runs"]:
 def class_figures(
     matches: ClassMatches, times: Int[np.ndarray, "draws scenes"]
 ) -> tuple[Float[np.ndarray, "draws t"], Float[np.ndarray, "draws t"]]:
-    """Return average precision and recall of a class by threshold.
+    """Return average precision and recall of a class for each draw and threshold.
 
     Args:
         times: number of times that each scene counts in each draw.
 
     Returns:
-        (average precision, recall of all detections); NaN where a draw has nothing to find.
+        (average precision, recall of all detections); NaN for draws without instances to find.
     """
     scene, to_find, runs = matches.scene, matches.to_find, _runs(matches)
     often = times.astype(np.int64, order="C")
@@ -173,7 +173,7 @@ def _figures(hit, counted, scene, runs, to_find, times, recalls):
 
 @kernel()
 def _curve(hit, counted, runs, times, wanted, recalls, curve):
-    """Fill `curve`; returns the recall of all detections. Precision matters at hits alone."""
+    """Fill `curve` with precisions, and return the final recall; only hits add points to it."""
     hits, mistakes, steps = 0, 0, 0
     most = times.sum()
     at_recall, at_precision = np.empty(most), np.empty(most)

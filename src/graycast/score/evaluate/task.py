@@ -1,4 +1,4 @@
-"""Evaluation of results against a dataset, both given by their paths."""
+"""Evaluation of stored detections against the labels of a stored dataset."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,9 +35,9 @@ _ONE_CLASS = 1  # All objects have this id if classes do not matter.
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """The results and the labels to compare; a `split` or `division` of None is the results' own.
+    """An evaluation to run: the results, the dataset, and how to compare them.
 
-    `one_class` treats all parts as one class.
+    A `split` or `division` of None means that of the results. `one_class` ignores classes.
     """
 
     results: Path
@@ -54,10 +54,10 @@ class Task:
 
 
 def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:
-    """Return all figures of results, and a function that reads a picture (UInt8Array_h_w_3).
+    """Return the evaluation of results, and a function that reads a scene's picture (uint8 RGB).
 
     Args:
-        progress: counts scenes as they are read.
+        progress: counter of the scenes that are read.
 
     Raises:
         GraycastError: the dataset or the results are missing, damaged, or do not fit together.
@@ -102,7 +102,7 @@ def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evalua
 
 
 def _sets(task: Task, run: DetectionRun) -> list[Examples]:
-    """Return the set that is judged; all sets of an export where the results are of all."""
+    """Return the set to judge, or all sets of an export if the results name no set."""
     split = task.split or run.split
     if not (task.dataset / RECORD).is_file():
         division = task.division or run.division
@@ -114,7 +114,7 @@ def _sets(task: Task, run: DetectionRun) -> list[Examples]:
 
 
 def _scene_ids(task: Task, run: DetectionRun, of_scene: Mapping[int, Examples]) -> tuple[int, ...]:
-    """Return the scenes that the detector looked at or, if the set is named, all of the set."""
+    """Return the ids of the detector's scenes or, if the task names a set, of all its scenes."""
     if run.scene_ids is None or task.split is not None:
         return tuple(of_scene)
     if odd := set(run.scene_ids) - set(of_scene):
@@ -143,7 +143,7 @@ def _labels(
 
 
 def as_one_class(one: _Either) -> _Either:
-    """Return labels or detections in which all parts are one."""
+    """Return labels or detections with the same class for all parts."""
     return replace(one, obj_id=np.full(len(one), _ONE_CLASS))
 
 
@@ -159,7 +159,7 @@ def _pictures(of_scene: Mapping[int, Examples]) -> Picture:
 
 
 def notes(judgements: Sequence[Judgement]) -> Iterator[str]:
-    """Yield sentences about one file of results."""
+    """Yield warnings about repeated detections and about equal scores that affect AP."""
     if doubled := sum(map(_doubled, judgements[0].known.detections)):
         yield (
             f"{doubled} detections repeat another one (same picture, class and outline), and each "
@@ -178,9 +178,9 @@ def notes(judgements: Sequence[Judgement]) -> Iterator[str]:
 
 
 def ap_of_any_order(matches: Mapping[int, ClassMatches]) -> tuple[float, float]:
-    """Return AP if among equal scores all mistakes came first, and if all hits did.
+    """Return AP with mistakes before hits of equal scores, and AP with hits before mistakes.
 
-    The matches stay the same: within a picture, another order could also change them.
+    The matches are not repeated, although another order within a picture could change them.
     """
     worst, best = (
         [float(precision_curves(_sorted(one, sign)).mean()) for one in matches.values()]
@@ -193,7 +193,7 @@ def ap_of_any_order(matches: Mapping[int, ClassMatches]) -> tuple[float, float]:
 
 
 def _sorted(one: ClassMatches, sign: int) -> ClassMatches:
-    """Sort hits after mistakes of the same score (sign 1), or before them."""
+    """Return matches with hits after mistakes of the same score (sign 1), or before (sign -1)."""
     order = np.stack([np.lexsort((sign * hit, -one.score)) for hit in one.hit.astype(int)])
     return replace(
         one,
@@ -203,7 +203,7 @@ def _sorted(one: ClassMatches, sign: int) -> ClassMatches:
 
 
 def _doubled(detections: Detections) -> int:
-    """Count the detections of a picture with the class, box and mask of an earlier one."""
+    """Count the detections that repeat the class, box and mask of an earlier detection."""
     masks = (
         [None] * len(detections)
         if detections.mask is None

@@ -1,10 +1,10 @@
 """Measurement and comparison of scanners, detectors, poses and views.
 
-Each imports only from those above it:
+Each package imports only from the packages above it:
 
     metrology        the accuracy of a virtual scanner, as a certificate
     evaluate         scores of detections, of poses (`pose_recall`, `pose_errors`) and of scanner
-                     depth against perfect depth (`depth`); imports nothing that it scores
-    merge            several views of a scene as one cloud, and what each of them adds
+                     depth against perfect depth (`depth`); imports no code that it scores
+    merge            fusion of several views into one cloud, and the surface that each view adds
     design           comparison of scanners and their poses on the same heaps
 """

@@ -118,7 +118,7 @@ class Comparer:
         return self._heaps[key]
 
     def _light(self, group: tuple[Placed, ...], heap: Heap) -> tuple[Rendering, list[slice]]:
-        """Render the patterns of all codes; return the rendering and each setting's patterns in it."""
+        """Render the patterns of all codes; return the rendering and each setting's slice of it."""
         cell = group[0].cell
         by_code = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
         ends = np.cumsum([len(patterns) for patterns in by_code.values()]).tolist()

@@ -160,8 +160,7 @@ def figures(
 ) -> dict[str, Any]:
     """Return a setting's figures over a heap's open surface.
 
-    Each point counts by its `weight`, which is its visibility from above. The figures below are
-    None if nothing was measured.
+    Points count by their `weight`. The figures below are None if nothing was measured.
 
     `sigma_m` is half the range of the middle 68.3 % of the errors, which ignores a few wrong
     depths, and `bias_m` is their median. `pixel_m` is the median size of a pixel of the coarser

@@ -1,4 +1,4 @@
-"""Several views of one scene as one cloud: what they agree on, and what each of them adds."""
+"""Fusion of several views of a scene into one cloud, and the surface that each view adds."""
 
 from .adding import best_order
 from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud, fuse

@@ -1,8 +1,8 @@
 """Share of the parts' surface that each view measures, and the order in which views add most.
 
-The surface is that of the parts' models where they truly lie, as points of equal area. A point
-counts as visible where at least one camera sees it, and as measured by a view whose own pixel there
-has a depth that is not wrong.
+The surface consists of the parts' models at their true poses, as points for equal areas. A point is
+visible if at least one camera sees it. It is measured by a view if the view sees it and has a
+correct depth at its pixel.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ _SLOPE = 0.2  # The tolerance grows with the size of a pixel on the surface.
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewTruth:
-    """Perfect measurement of a simulated view: z [m], NaN for nothing; instance -1 is no part."""
+    """Ground truth of a simulated view: z [m], NaN without a surface; instance, -1 for no part."""
 
     depth_m: Float[np.ndarray, "h w"]
     instance: Int[np.ndarray, "h w"]
@@ -42,7 +42,7 @@ class ViewTruth:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfacePoints:
-    """Points on parts as they lie, in the world, each of the same area."""
+    """Points on placed parts, in the world frame, each for the same area."""
 
     point_m: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
@@ -56,7 +56,7 @@ class SurfacePoints:
 def surface_of(
     meshes: Sequence[Mesh], T_world_part: Sequence[Float[np.ndarray, "4 4"]], *, points: int
 ) -> SurfacePoints:
-    """Spread `points` over all instances, by their areas; no chance is involved."""
+    """Return points spread over all instances in proportion to their areas, without randomness."""
     area = [float(mesh.face_area_m2.sum()) for mesh in meshes]
     place, normal, instance = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     for number, (mesh, T) in enumerate(zip(meshes, T_world_part, strict=True)):
@@ -74,9 +74,9 @@ def surface_of(
 def why_not(
     surface: SurfacePoints, view: MeasuredView, points: Points, truth: ViewTruth
 ) -> UInt8[np.ndarray, " n"]:
-    """Why a view has no depth of each place: its reason there, or HIDDEN, OUTSIDE, WRONG; 0, if so.
+    """Return why a view lacks each point: its reason, or HIDDEN, OUTSIDE, WRONG; 0 if it has depth.
 
-    A place is seen where its pixel's truth is of its own instance, and on the plane of the place.
+    A point is visible if the truth at its pixel has the same instance and is on the point's plane.
     """
     camera = view.camera
     T_cam_world = inverse(view.T_world_cam)
@@ -98,10 +98,10 @@ def why_not(
 
 
 def best_order(has: Bool[np.ndarray, "views n"]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the views, each adding most to the views before it, and how many points each adds.
+    """Return the order in which each view adds most to the views before it, and the points added.
 
-    Of views that add the same the first is taken. No order of the same length has more than
-    1 / (1 - 1/e) = 1.58 times what this one has.
+    Among views that add equally many points, the first is taken. No choice of equally many views
+    has more than 1 / (1 - 1/e) = 1.58 times as many points.
 
     Source: G. Nemhauser et al., "An analysis of approximations for maximizing submodular set
     functions", 1978.

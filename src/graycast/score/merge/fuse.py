@@ -1,13 +1,13 @@
-"""Fusion of the views of one scene into one cloud with one point per place, and its noise.
+"""Fusion of the views of a scene into one cloud with one point for each place on the surface.
 
-A point is looked up in every other view: at the pixel where it would be seen, that view measured
-the same surface (and agrees), something before it (which hides the point), something behind it (so
-that it saw through the point), or nothing. What agrees is averaged along the surface's normal, each
-weighed by its inverse variance: of N equal views sigma falls to sigma / sqrt(N).
+Each point is projected into every other view. At that pixel the other view measured the same
+surface (the views agree), a surface before the point (which hides it), a surface behind the point
+(the view saw through it), or nothing. Measurements that agree are averaged along the normal with
+their inverse variances as weights, so N equal views reduce sigma to sigma / sqrt(N).
 docs/explanation/merging.md has the equations.
 
-Leaves out: errors that views share (of a calibration, of light between parts) do not average out,
-so the stated sigma is that of noise alone; poses of the views are taken as exact, and only checked.
+Leaves out: errors that views share (from calibration, or from light between parts), which do not
+average out and are not in sigma; errors of the views' poses, which are checked but not corrected.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,14 +33,14 @@ class FusedCloud:
     """Points of a scene in the world, in the order of their views and pixels.
 
     Attributes:
-        normal: towards the camera of `view`; where no plane fits, the way to that camera.
+        normal: surface normal, towards the camera of `view`; without a plane, the direction to it.
         sigma_m: standard deviation along the normal.
-        view: index of the view whose pixel has the point.
-        pixel: row and column in that view.
-        views: how many views measured the place, that one among them.
-        against: how many saw through it; never more than the others that confirm it.
-        first_reason: why the first view has no point there, as its reasons are numbered, or one of
-            THROUGH, HIDDEN, OUTSIDE; 0 where it has one.
+        view: index of the view from which the point comes.
+        pixel: row and column of the point in that view.
+        views: number of views that measured the place, including `view`.
+        against: number of views that saw through the point, at most the number that confirm it.
+        first_reason: reason why the first view has no point there: the number of a reason, or
+            THROUGH, HIDDEN or OUTSIDE; 0 if the first view has a point.
     """
 
     point_m: Float[np.ndarray, "n 3"]
@@ -61,9 +61,9 @@ class FusedCloud:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fused:
-    """The cloud, and what became of each view's measured pixels.
+    """A fused cloud, with counts of the measured, confirmed and rejected pixels of each view.
 
-    `doubts` are sentences about views that do not agree with the others: see `pose_doubts`.
+    `doubts` are sentences about views that do not agree with other views; see `pose_doubts`.
     """
 
     cloud: FusedCloud
@@ -74,7 +74,7 @@ class Fused:
 
 
 def fuse(views: Sequence[MeasuredView]) -> Fused:
-    """Fuse all views into one cloud; a place is represented by the view with most pixels on it.
+    """Fuse all views into one cloud; each place has a point from the view with the finest pixels.
 
     Raises:
         ValueError: there is no view, or there are more than `MOST`.
@@ -115,7 +115,7 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
 def _votes(
     answers: Mapping[int, ViewAgreement], points: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Count, for each point, the other views that confirm it and those that saw through it."""
+    """Return for each point the numbers of other views that confirm it and that saw through it."""
     confirmed, against = np.zeros((2, points), dtype=np.int64)
     for answer in answers.values():
         confirmed += answer.met.agrees
@@ -137,7 +137,7 @@ def _stood_for(
     answers: Mapping[int, ViewAgreement],
     wrong: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether a view with smaller pixels on the surface, or an equal earlier one, wins."""
+    """Return whether a view with finer pixels, or an earlier equal view, replaces each point."""
     better = np.zeros(len(own.pixel), dtype=bool)
     for j, answer in answers.items():
         met = answer.met
@@ -155,7 +155,7 @@ def _piece(
     votes: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]],
     keep: Bool[np.ndarray, " n"],
 ) -> dict[str, np.ndarray]:
-    """Return the fields of `FusedCloud` for the points that stand at a view's pixels."""
+    """Return the fields of `FusedCloud` for the points that come from a view."""
     weight = 1 / own.variance_along(own.normal)
     moved = np.zeros_like(weight)
     for answer in answers.values():

@@ -22,15 +22,15 @@ _SLOPE, _UNKNOWN_SLOPE = 0.2, 1.0
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProjectedPoints:
-    """The pixel of a view at which each point of another would be seen.
+    """Points of another view, projected into a view and compared with its measurement.
 
     Attributes:
-        inside: the point is in the view's picture.
-        there: what the view measured at that pixel.
-        agrees: it is the point's own surface.
+        inside: whether the point is in the view's picture.
+        there: point that the view measured at that pixel.
+        agrees: whether both points are on the same surface.
         offset_m: distance from the point to the view's surface, along the mean of both normals.
-        variance_m2: of what the view measured, along that mean.
-        depth_m: the point's own z in the view's camera.
+        variance_m2: variance of the view's point along this mean normal.
+        depth_m: z of the projected point in the view's camera.
     """
 
     inside: Bool[np.ndarray, " n"]
@@ -44,12 +44,12 @@ class ProjectedPoints:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewAgreement:
-    """A view's answer for each point: it agrees, sees through it, is hidden from it, or is silent.
+    """Relation of a view to each point: agreement, sight through it, occlusion, or no measurement.
 
     Attributes:
-        met: where the view would see the point, and whether it agrees.
-        through: what the view measured is behind the point, on all sides.
-        before: it is before the point.
+        met: the points as projected into the view, with their agreement.
+        through: whether all that the view measured around the point is behind it.
+        before: whether the view's surface is before the point.
     """
 
     met: ProjectedPoints
@@ -77,10 +77,10 @@ def meet(own: Points, view: MeasuredView, points: Points) -> ProjectedPoints:
 
 
 def look(own: Points, view: MeasuredView, points: Points) -> ViewAgreement:
-    """Return the answer of a view to another view's points.
+    """Return the relation of a view to another view's points.
 
-    A view sees through a point where all nine pixels about the place have measured something
-    behind it, and the middle one a plane that the point lies before.
+    A view sees through a point if all nine pixels around its position measured a surface behind
+    it, and the middle pixel measured a plane behind it.
     """
     met = meet(own, view, points)
     there, other = met.there, met.inside & ~met.agrees
@@ -95,9 +95,9 @@ def look(own: Points, view: MeasuredView, points: Points) -> ViewAgreement:
 
 
 def _mean_normal(own: Points, there: Points) -> Float[np.ndarray, "n 3"]:
-    """Across the surface between two points of it; on a sphere the way between is square to it.
+    """Return the mean of both normals, which is perpendicular to a chord on planes and spheres.
 
-    Where one has no plane, the other's normal.
+    If only one of the points has a plane, return its normal.
     """
     total = np.where((own.plane | ~there.plane)[:, None], own.normal, 0.0)
     total = total + np.where(there.plane[:, None], there.normal, 0.0)
@@ -113,7 +113,7 @@ def _on_one_surface(
     offset_m: Float[np.ndarray, " n"],
     aside_m: Float[np.ndarray, " n"],
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether both points are on one surface; False if either is unknown."""
+    """Return whether both points are on the same surface; False if a point is unknown."""
     spread_m = np.sqrt(own.variance_along(across) + there.variance_along(across))
     both = own.plane & there.plane
     slope = np.where(both, _SLOPE, _UNKNOWN_SLOPE)
@@ -125,7 +125,7 @@ def _on_one_surface(
 
 
 def _over_plane(own: Points, there: Points) -> Bool[np.ndarray, " n"]:
-    """Return whether the point is in front of the other's plane, by more than both noises."""
+    """Return whether each point is in front of the plane `there` by more than the noise of both."""
     apart = own.point_m - there.point_m
     height_m = (apart * there.normal).sum(axis=-1)
     aside_m = np.linalg.norm(apart - height_m[:, None] * there.normal, axis=-1)
@@ -135,5 +135,5 @@ def _over_plane(own: Points, there: Points) -> Bool[np.ndarray, " n"]:
 
 
 def _nearest_m(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Return the least depth of the nine pixels about each; 0 if one of them has no depth."""
+    """Return the least depth in the 3 x 3 pixels around each pixel; 0 if a depth is missing."""
     return ndimage.minimum_filter(np.nan_to_num(depth_m, nan=0.0), 3, mode="constant", cval=0.0)

@@ -1,13 +1,13 @@
 """Views of a stored scene in the form that merging needs, with the noise of their depths.
 
-A dataset stores no standard deviation of depth. Depth follows from a place in the projector's
-picture, so its noise is that place's, times how fast depth changes with it. Where code maps are
-stored the decoder itself gave the first; elsewhere it is measured: how far pixels lie off the
-planes through their neighbours, at each strength of light.
+A dataset stores no standard deviation of depth. Depth is computed from a projector position, so its
+noise is the noise of the position times the derivative of depth. If code maps are stored, they have
+the decoder's noise. Otherwise the noise is measured, for groups of pixels with similar light, from
+the distances between pixels and the planes through their neighbours.
 
-Leaves out: what filters that average neighbours do. They make noise alike from pixel to pixel, and
-what is alike is not seen off a plane: the sigma measured is then too small, that of code maps too
-large.
+Leaves out: filters that average neighbours. They correlate the noise of neighbouring pixels, which
+distances from a plane do not show. With such filters the measured sigma is too small, and the sigma
+from code maps is too large.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ _NUDGE = 1e-4  # The slope of depth is taken over this share of the depth.
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredView:
-    """A view with its perfect measurement, and the source of its noise."""
+    """A view with its ground truth, and the source of its noise."""
 
     view: MeasuredView
     truth: ViewTruth
@@ -86,7 +86,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
 
 
 def read_surface(models: dict[int, StoredModel], shot: StoredScene) -> SurfacePoints:
-    """Return the surface of a scene's parts where they lie, from any of its pictures.
+    """Return points on a scene's parts at their true poses, given one of its pictures.
 
     Raises:
         DatasetError: a file is missing or damaged.
@@ -109,7 +109,7 @@ def _T_world_cam(view: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
 def _sigma_m(
     stored: StoredDataset, shot: StoredScene, depth_m: Float[np.ndarray, "h w"], step_m: float
 ) -> tuple[Float[np.ndarray, "h w"], str]:
-    """Return sigma of z, including rounding to depth steps, and its source; NaN without depth."""
+    """Return sigma of z (NaN without depth), including rounding to depth steps, and its source."""
     rig = rig_of(stored.taker(shot.sensor)["rig"])
     slope_m = depth_slope_m(depth_m, rig)
     try:
@@ -127,7 +127,7 @@ def _sigma_m(
 
 
 def depth_slope_m(depth_m: Float[np.ndarray, "h w"], rig: Rig) -> Float[np.ndarray, "h w"]:
-    """Return the change of depth with the projector's coordinate [m/px]; NaN without depth."""
+    """Return the derivative of depth by the projector's coordinate [m/px]; NaN without depth."""
     point_m = points(rig.camera, depth_m)
     axis = 0 if triangulation_axis(rig) == "column" else 1
     place = [
@@ -144,10 +144,10 @@ def measured_noise_px(
     light: Num[np.ndarray, "h w"],
     rig: Rig,
 ) -> Float[np.ndarray, "h w"]:
-    """Estimate each pixel's noise in the projector [px] from the roughness at similar light.
+    """Return each pixel's noise [projector px], measured in groups of pixels with similar light.
 
     Args:
-        light: modulation, in any unit.
+        light: modulation in any unit.
     """
     _, smooth_m = planes_of(depth_m, rig.camera)
     off_px = np.abs(depth_m - smooth_m) / slope_m

@@ -1,4 +1,4 @@
-"""Measurements of one view in the form that fusion needs: points, normals, noise, in the world."""
+"""Measurements of one view in the form that fusion needs: points, normals and noise."""
 
 import math
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ LEAST_COSINE = 0.2  # On steeper surfaces, the error of the normal exceeds the n
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredView:
-    """Depth of one picture, and the camera's pose.
+    """Depth map of one picture, with the camera's pose.
 
     Attributes:
         name: name of the view in tables.
-        depth_m: z of the camera frame; NaN where nothing was measured.
-        sigma_m: standard deviation of z; NaN where nothing was measured.
-        reason: why there is no depth, as a dataset numbers it; 0 where there is one.
-        color: 8-bit sRGB.
+        depth_m: z in the camera frame; NaN without a measurement.
+        sigma_m: standard deviation of z; NaN without a measurement.
+        reason: number of the reason for missing depth, as in datasets; 0 for pixels with depth.
+        color: colour picture in 8-bit sRGB.
     """
 
     name: str
@@ -50,17 +50,17 @@ class MeasuredView:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Points:
-    """Pixels of a view, all of its picture or some in a row, as points of the world.
+    """Points in the world frame for all pixels of a view (as a map), or for a list of pixels.
 
-    They are NaN where nothing was measured.
+    Points are NaN without a measurement.
 
     Attributes:
-        pixel: row and column.
-        point_m, toward: places, and unit vectors from them to the camera.
-        normal: surface normal, towards the camera; where no plane fits, `toward` stands for it.
-        plane: whether one fits.
+        pixel: row and column of each point.
+        point_m, toward: positions, and unit vectors from the points to the camera.
+        normal: surface normal towards the camera; equal to `toward` if no plane fits.
+        plane: whether a plane fits the neighbouring pixels.
         sigma_m: standard deviation along the ray.
-        spacing_m: how far apart the rays of neighbouring pixels are there.
+        spacing_m: distance at the point between the rays of neighbouring pixels.
     """
 
     pixel: Int[np.ndarray, "*n 2"]
@@ -85,7 +85,7 @@ class Points:
 
     @property
     def area_m2(self) -> Float[np.ndarray, "*n"]:
-        """Area of the surface that a pixel covers."""
+        """Area of the surface that each pixel covers."""
         return np.square(self.spacing_m) / self.cosine
 
     def variance_along(self, direction: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
@@ -94,14 +94,14 @@ class Points:
         return np.square(self.sigma_m * cosine)
 
     def at(self, pixel: Int[np.ndarray, "n 2"]) -> "Points":
-        """Return some pixels of a whole picture."""
+        """Return the points of the given pixels, from a map of a whole picture."""
         index = tuple(pixel.T)
         names = [name for name in self.__dataclass_fields__ if name != "pixel"]
         return Points(pixel=pixel, **{name: getattr(self, name)[index] for name in names})
 
 
 def points_of(view: MeasuredView) -> Points:
-    """Return each pixel's point on its true ray, with the normal of its neighbourhood's plane."""
+    """Return each pixel's point on its undistorted ray, with the normal of the plane around it."""
     camera, T = view.camera, view.T_world_cam
     ray = picture_rays(camera)
     length = np.linalg.norm(ray, axis=-1)
@@ -124,9 +124,9 @@ def points_of(view: MeasuredView) -> Points:
 def planes_of(
     depth_m: Float[np.ndarray, "h w"], camera: Optics
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-    """Return normals in the camera's frame, and z of the plane through each pixel's neighbours [m].
+    """Return normals in the camera frame, and z of the plane through each pixel's neighbours [m].
 
-    NaN where too few neighbours lie on one plane with the pixel.
+    Both are NaN if too few neighbours are on one plane with the pixel.
     """
     known = np.isfinite(depth_m)
     normal, smooth = np.full((*known.shape, 3), np.nan), np.full(known.shape, np.nan)

@@ -1,4 +1,4 @@
-"""Figures of a scene's views: what each measured, what it adds, and how good the cloud is."""
+"""Figures of a scene's views: measured surface, added surface, and errors of the cloud."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ OWN_NAMES = {
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceCoverage:
-    """Why each view has no depth of each visible place; 0 where it has. `of` counts all places."""
+    """Reason why each view lacks each visible point; 0 if it has depth. `of` counts all points."""
 
     why: UInt8[np.ndarray, "views n"]
     of: int
@@ -36,14 +36,14 @@ class SurfaceCoverage:
 
 
 def surface_coverage(surface: SurfacePoints, views: Sequence[StoredView]) -> SurfaceCoverage:
-    """Ask every view about the surface; what no camera sees is left out."""
+    """Return the coverage of the surface by all views, without points that no camera sees."""
     why = np.stack([why_not(surface, v.view, points_of(v.view), v.truth) for v in views])
     visible = ((why != HIDDEN) & (why != OUTSIDE)).any(axis=0)
     return SurfaceCoverage(why=why[:, visible], of=why.shape[1])
 
 
 def joined(parts: Sequence[SurfaceCoverage]) -> SurfaceCoverage:
-    """Join the surfaces of several scenes, seen by views of the same names, into one."""
+    """Return the joint coverage of several scenes whose views have the same names."""
     return SurfaceCoverage(
         why=np.concatenate([one.why for one in parts], axis=1), of=sum(one.of for one in parts)
     )
@@ -52,7 +52,7 @@ def joined(parts: Sequence[SurfaceCoverage]) -> SurfaceCoverage:
 def surface_figures(
     parts: SurfaceCoverage, names: Sequence[str], reason_name: dict[int, str]
 ) -> dict[str, Any]:
-    """Return shares of the surface that any camera sees; `best_order` is the greedy one."""
+    """Return shares of the visible surface by view, and the greedy order of views."""
     has, places = parts.has, max(parts.why.shape[1], 1)
     some = has.any(axis=0)
     names_of = reason_name | OWN_NAMES
@@ -110,9 +110,9 @@ def cloud_figures(
 
 
 def cloud_errors_m(cloud: FusedCloud, views: Sequence[StoredView]) -> Float[np.ndarray, " n"]:
-    """Return each point's distance from its pixel's true surface, along its normal; else NaN.
+    """Return each point's distance along its normal from the true surface; NaN without a surface.
 
-    The true surface is taken as a plane about the pixel.
+    The true surface is approximated by a plane at the point's pixel.
     """
     error_m = np.full(len(cloud.view), np.nan)
     for i, one in enumerate(views):
@@ -126,7 +126,7 @@ def cloud_errors_m(cloud: FusedCloud, views: Sequence[StoredView]) -> Float[np.n
 def _noise(
     sigma_m: Float[np.ndarray, " n"], error_m: Float[np.ndarray, " n"]
 ) -> dict[str, float | int | None]:
-    """Stated and true; the true sigma is half of what holds the middle 68.27 % of the errors."""
+    """Return stated and true sigma; the latter is half the range of the errors' middle 68.27 %."""
     known = np.isfinite(error_m)
     figures: dict[str, float | int | None] = {
         "points": len(sigma_m),

@@ -1,12 +1,12 @@
-"""Check that views agree where they see the same surface, and the likely error of a wrong pose.
+"""Checks of the views' poses: agreement on common surfaces, and likely mistakes in wrong poses.
 
-The poses of real views come from a robot and a hand-eye calibration. Points of one view are looked
-up in another, and the least motion that moves them onto its surface is found by robust least
-squares of the distances along the normals. Directions in which the common surface does not hold the
-points (such as aside on a plane) are left out. If the motion is larger than the bias of a scanner
-can be, a pose is off. Where views agree hardly anywhere, the usual mistakes in a pose are tried.
-GICP of the library small-gicp finds a shift of 5 mm with an error of 0.2 mm, but moves a view whose
-pose is inverted by 20 mm onto the floor of another view, so that this mistake is not named.
+The poses of real views come from a robot and a hand-eye calibration. Points of one view are
+compared with another view, and the smallest motion that moves them onto its surface is fitted by
+robust least squares of the distances along the normals. Directions that the common surface does not
+determine (such as sideways on a plane) are left out. If the motion is larger than a scanner's bias
+can be, a pose is wrong. If views hardly agree anywhere, the usual mistakes in a pose are tried.
+GICP in the library small-gicp finds a shift of 5 mm with an error of 0.2 mm. But if a view's pose
+is inverted, it moves the view by 20 mm onto the floor of another view and hides this mistake.
 
 Source: Y. Chen, G. Medioni, "Object modelling by registration of multiple range images", 1992
 (distances to planes).
@@ -43,10 +43,10 @@ class Agreement:
 
     Attributes:
         points: number of points at which the other view has a depth.
-        share: share of these points on one surface within the noise, after the motion.
-        shift_m: the motion of the points' middle that lays them on the other's surface.
-        turn_rad: turn of the motion.
-        off: how far the points move, as a share of the depth.
+        share: share of these points that agree with the other view after the fitted motion.
+        shift_m: shift of the points' centre by the motion that moves them onto the other surface.
+        turn_rad: angle of the motion's rotation.
+        off: size of the motion at the points, as a share of the depth.
     """
 
     points: int
@@ -65,7 +65,7 @@ class Agreement:
 
 
 def pose_doubts(views: Sequence[MeasuredView], points: Sequence[Points]) -> tuple[str, ...]:
-    """Return sentences that name the views that disagree with others, and the remedies."""
+    """Return sentences that name the views that disagree with other views, and the remedies."""
     pairs = agreements(views, points)
     lonely = [i for i in range(len(views)) if not any(pairs[p].agrees for p in pairs if i in p)]
     if len(views) < 2 or not lonely:
@@ -80,14 +80,14 @@ def pose_doubts(views: Sequence[MeasuredView], points: Sequence[Points]) -> tupl
 def agreements(
     views: Sequence[MeasuredView], points: Sequence[Points]
 ) -> dict[tuple[int, int], Agreement]:
-    """Return the agreement of each pair of views."""
+    """Return the agreement for each pair of views."""
     own = [_some(view_points) for view_points in points]
     pairs = combinations(range(len(views)), 2)
     return {(i, j): _agreement(own[i], views[j], points[j]) for i, j in pairs}
 
 
 def _all_differ(views: Sequence[MeasuredView], points: Sequence[Points]) -> str:
-    """Explain that no two views agree: the same mistake may be in all poses."""
+    """Return a sentence for views of which no two agree; all poses may have the same mistake."""
     names = ", ".join(view.name for view in views)
     none = f"no two of the views {names} agree where both measured a surface"
     for what, change in _MISTAKES.items():
@@ -105,7 +105,7 @@ def _differs(
     points: Sequence[Points],
     pairs: Mapping[tuple[int, int], Agreement],
 ) -> str:
-    """Explain that a view agrees with no other, while others agree."""
+    """Return a sentence about a view that agrees with no other view, although other views agree."""
     mine = {pair: one for pair, one in pairs.items() if i in pair}
     pair, best = max(mine.items(), key=lambda item: (item[1].meets, item[1].points))
     if best.meets:
@@ -134,7 +134,7 @@ def _displaced(view: MeasuredView, other: MeasuredView, one: Agreement) -> str:
 
 
 def _remedy(i: int, views: Sequence[MeasuredView], points: Sequence[Points]) -> str:
-    """Return the usual mistake in one view's pose that explains why it agrees with none."""
+    """Return advice: the usual mistake in a pose that explains why a view agrees with no other."""
     T = views[i].T_world_cam
     for what, change in _MISTAKES.items():
         own = _moved(_some(points[i]), change(T) @ inverse(T))
@@ -160,7 +160,7 @@ _MISTAKES: Mapping[str, Callable[[Float[np.ndarray, "4 4"]], Float[np.ndarray, "
 
 
 def _some(points: Points) -> Points:
-    """Return points on planes, spread evenly over the picture."""
+    """Return a sample of the points that are on planes, spread evenly over the picture."""
     pixel = np.argwhere(points.known & points.plane)
     index = np.linspace(0, len(pixel) - 1, min(POINTS, len(pixel))).astype(np.int64)
     return points.at(pixel[index])
@@ -222,10 +222,10 @@ def _least_squares(
     kernel_m: float,
     determined_m: float,
 ) -> Float[np.ndarray, "6"]:
-    """Solve by Cauchy-weighted least squares, only in directions determined despite the noise.
+    """Return a Cauchy-weighted least-squares solution in the directions that points determine.
 
-    Such a direction is known to `determined_m`. The kernel is wide at first, because a leaning
-    surface shows a sideways shift and would be an outlier next to a floor that shows none.
+    Such a direction is known to `determined_m`. The caller begins with a wide kernel, because a
+    sideways shift shows only on slopes, which would be outliers next to a flat floor.
     """
     spread_m = float(robust_sigma(offset_m - np.median(offset_m)))
     noise_m2 = np.maximum(variance_m2, spread_m**2)

@@ -1,7 +1,7 @@
-"""Artefacts to measure: planes, spheres and ball bars, and their places in a rig's volume.
+"""Artefacts to measure (planes, spheres and ball bars), and their positions in a rig's volume.
 
-All is in the camera frame. A point counts as in the volume where the camera sees it, the projector
-lights it, and its depth lies in the working range.
+All positions are in the camera frame. A point is in the volume if the camera sees it, the projector
+lights it, and its depth is in the working range.
 
 Leaves out: holders and fixtures. The artefacts are perfect diffusers and float in the dark.
 """
@@ -32,10 +32,10 @@ PLANE_HALF = 8.0  # half the edge of a plane as a multiple of its depth: wider t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Volume:
-    """The working volume: depths that both devices share, and the box around it.
+    """The working volume: the depths at which both devices have a common field, and its size.
 
     `diagonal_m` is the space diagonal of the smallest box, along the camera's axes, around the
-    common fields at both ends.
+    common fields at all depths.
     """
 
     near_m: float
@@ -43,7 +43,7 @@ class Volume:
     diagonal_m: float
 
     def depth_m(self, share: float) -> float:
-        """Depth at a share of the range, with the margin at both ends: 0 is near, 1 is far."""
+        """Return the depth at a share of the range without margins: 0 is near, 1 is far."""
         span_m = self.far_m - self.near_m
         return self.near_m + span_m * (RANGE_MARGIN + share * (1 - 2 * RANGE_MARGIN))
 
@@ -52,7 +52,7 @@ def working_volume(rig: Rig) -> Volume:
     """Return the part of the working range in which camera and projector have a common field.
 
     Raises:
-        ValueError: they have none.
+        ValueError: there is no common field.
     """
     depth_m = np.linspace(rig.near_m, rig.far_m, DEPTHS)
     fields = [(z, common_rectangle_m(rig, z)) for z in depth_m.tolist()]
@@ -75,7 +75,7 @@ def common_rectangle_m(
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]] | None:
     """Return opposite corners (x, y) of a rectangle at depth `z_m` that both devices cover.
 
-    It has the middle and proportions of the common field's box, shrunk to fit. None if none fits.
+    The rectangle is the bounding box of the common field, shrunk until it fits; None if it cannot.
     """
     point = z_m * rays(rig.camera, _grid_px(rig))
     inside = in_view(rig, point)
@@ -101,10 +101,10 @@ def in_view(rig: Rig, point: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"
 
 
 def plane(z_m: float, *, tilt_rad: float, azimuth_rad: float, material: Material) -> Quad:
-    """Return a plane through (0, 0, z), its front to the camera.
+    """Return a plane through (0, 0, z) whose front faces the camera.
 
-    At tilt 0 it faces the camera's axis. It is tilted about the axis in its own plane at
-    `azimuth_rad` from x to y: azimuth 0 tilts about x, half a turn more tilts the other way.
+    At tilt 0 it is perpendicular to the camera's axis. It is tilted about the direction in the
+    x-y plane at `azimuth_rad` from x: azimuth 0 tilts about x; pi is the opposite tilt.
     """
     axis = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad), 0.0])
     across = np.cross(axis, [0.0, 0.0, 1.0])  # in the facing plane, perpendicular to the axis
@@ -121,10 +121,10 @@ def plane(z_m: float, *, tilt_rad: float, azimuth_rad: float, material: Material
 def sphere_centre_m(
     rig: Rig, volume: Volume, at: tuple[float, float, float], radius_m: float
 ) -> Float[np.ndarray, "3"]:
-    """Return the centre of a sphere in the volume, as near to a wanted place as possible.
+    """Return the centre of a sphere in the volume, as near to a wanted position as possible.
 
     Args:
-        at: (u, v, w): -1 to 1 across the common field, 0 near to 1 far.
+        at: wanted position: -1 to 1 across the field (u, v), and 0 (near) to 1 (far) in depth.
 
     Raises:
         ValueError: the sphere is too large for the volume.
@@ -147,7 +147,7 @@ def sphere_centre_m(
 def sphere_fits(
     rig: Rig, volume: Volume, centre_m: Float[np.ndarray, "3"], radius_m: float
 ) -> bool:
-    """Return whether all of a sphere's surface that faces the camera is in the volume."""
+    """Return whether the side of a sphere that faces the camera is completely in the volume."""
     golden = np.arange(FACING_POINTS) * (math.pi * (3 - math.sqrt(5)))
     height = np.linspace(-1, 1, FACING_POINTS)
     ring = np.sqrt(1 - height**2)
@@ -160,7 +160,7 @@ def sphere_fits(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BallBar:
-    """Two spheres a known distance apart."""
+    """Two spheres at a known distance."""
 
     name: str
     ends_m: Float[np.ndarray, "2 3"]
@@ -186,7 +186,7 @@ BAR_DIRECTIONS = {
 
 
 def ball_bars(rig: Rig, volume: Volume, *, radius_m: float) -> tuple[BallBar, ...]:
-    """Return one ball bar in seven positions about the volume's middle, as long as they all allow.
+    """Return the longest ball bar that fits in seven positions about the volume's middle.
 
     Raises:
         ValueError: no length down to a tenth of the volume's diagonal fits.
@@ -229,10 +229,10 @@ def clear(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> bool
 
 
 def grouped(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> list[list[int]]:
-    """Group the spheres that can be in one scene, so that few scenes must be rendered.
+    """Return groups of spheres that can be in one scene, so that few scenes must be rendered.
 
-    Each goes to the first scene at its own depth, where one exposure suits all, in which it neither
-    hides another nor is hidden.
+    Each sphere joins the first scene with spheres at its depth (for one exposure) in which no
+    sphere hides another.
     """
     scenes: list[list[int]] = []
     for index, centre in enumerate(centre_m):
@@ -249,7 +249,7 @@ def grouped(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> li
 def spheres(
     centre_m: Float[np.ndarray, "n 3"], radius_m: float, material: Material
 ) -> tuple[Sphere, ...]:
-    """Return spheres of one size for a scene."""
+    """Return surfaces of spheres with equal radii for a scene."""
     return tuple(
         Sphere(center_m=tuple(centre.tolist()), radius_m=radius_m, material=material)
         for centre in centre_m
@@ -257,7 +257,7 @@ def spheres(
 
 
 def _grid_px(rig: Rig) -> Float[np.ndarray, "h w 2"]:
-    """Return places all over the camera's picture, its borders included."""
+    """Return a grid of positions over the camera's picture, including its borders."""
     rows, columns = FIELD_GRID_PX
     size = np.array([rig.camera.width_px, rig.camera.height_px])
     share = pixel_grid(rows, columns) / [columns - 1, rows - 1]

@@ -1,4 +1,4 @@
-"""A virtual camera's worth: it scans virtual artefacts all over its volume, as a lab would."""
+"""Certification of a virtual scanner by scans of virtual artefacts all over its volume."""
 
 import math
 import time
@@ -78,7 +78,7 @@ class _Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Plan:
-    """All artefacts, and the probing spheres of each scene; a ball bar has a scene of its own."""
+    """All artefacts, and the spheres of each probing scene; each ball bar has a separate scene."""
 
     poses: tuple[_Pose, ...]
     probing_radius_m: float
@@ -102,21 +102,21 @@ def certify(
 ) -> Certificate:
     """Measure the accuracy of a scanner over its working volume.
 
-    The scanner is taken as it is, filters and smoothing included; a picture's exposure is metered
-    on the artefact in it, unless the scanner's is fixed. Truth comes from the scene.
+    The scanner is used with its filters and smoothing. Exposure is metered on the artefact in each
+    scene, unless the scanner has a fixed exposure. Truth comes from the scene.
 
     Args:
         renderer: an open renderer.
-        seed: seed for the light's sampling and the sensor's noise.
-        rendered_with: the rig as it is built, where the scanner's own is a calibration that is not
-            right. The working volume is that of the rig as built.
-        progress: counts scenes, and hears what each of them shows.
+        seed: seed for light sampling and sensor noise.
+        rendered_with: true rig, which renders the light and has the working volume; give it if the
+            scanner's rig is an inexact calibration. None is the scanner's rig.
+        progress: counter of scenes, which also receives the name of each scene's artefact.
 
     Raises:
         ValueError: camera and projector share too small a field, or an artefact is not decoded.
 
-    Leaves out: what else than sensor noise changes from shot to shot (vibration, drift, warm-up, a
-    projector that flickers); artefacts' own errors; interreflections, where `scope.depth` is 1.
+    Leaves out: changes from shot to shot other than sensor noise (vibration, drift, warm-up, a
+    flickering projector); errors of the artefacts; interreflections, if `scope.depth` is 1.
     """
     start_s = time.perf_counter()
     lab = open_lab(scanner, rendered_with or scanner.rig, scope or Scope(), renderer)
@@ -190,9 +190,9 @@ def _plan(lab: Lab) -> _Plan:
 
 
 def _poses(lab: Lab) -> tuple[_Pose, ...]:
-    """Return facing planes near to far, tilts about the baseline (with noise), and other tilts.
+    """Return facing planes from near to far, then tilts about the baseline, then other tilts.
 
-    About the baseline both devices are tilted alike; across it one sees the plane steeper.
+    A tilt about the baseline is equal for both devices; another tilt is steeper for one of them.
     """
     captures, volume = lab.scope.captures, lab.volume
     baseline_deg = math.degrees(math.atan2(*lab.rig.T_cam_proj[[1, 0], 3]))
@@ -275,7 +275,7 @@ def _plane(lab: Lab, pose: _Pose, seed: int) -> tuple[PlaneResult, Float[np.ndar
 
 
 def _middle(shots: Shots, z_m: float) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the middle of the common field; on a tilted plane, near its distance."""
+    """Return a mask of the middle of the common field, limited to depths near `z_m`."""
     rows, columns = (np.flatnonzero(shots.where.any(axis=axis)) for axis in (1, 0))
     window = np.zeros_like(shots.where)
     cut = (1 - MIDDLE_SHARE) / 2
@@ -287,7 +287,7 @@ def _middle(shots: Shots, z_m: float) -> Bool[np.ndarray, "h w"]:
 
 
 def _block_means(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "bh bw"]:
-    """Return means over square blocks that are whole and at least half known; NaN elsewhere."""
+    """Return the means of square blocks of pixels; NaN for blocks that are less than half known."""
     size = max(1, math.ceil(image.shape[1] / MAP_WIDTH))
     h, w = (length // size for length in image.shape)
     whole = image[: h * size, : w * size].reshape(h, size, w, size)
@@ -303,7 +303,7 @@ def _block_means(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "bh bw"]:
 def _sphere_points(
     lab: Lab, shots: Shots, centre_m: Float[np.ndarray, "n 3"], radius_m: float
 ) -> list[Float[np.ndarray, "_ 3"]]:
-    """Return each sphere's measured points, up to `STEEPEST_DEG`, by the truth of their pixels."""
+    """Return the measured points on each sphere where the incidence is at most `STEEPEST_DEG`."""
     with np.errstate(invalid="ignore"):  # NaN: no surface
         good = shots.where & (incidence_rad(lab, shots) <= math.radians(STEEPEST_DEG))
     good &= np.isfinite(shots.depth_m[0])

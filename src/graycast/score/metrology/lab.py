@@ -1,4 +1,4 @@
-"""The virtual lab: the rig as it is built lights a scene, the scanner as it is scans it."""
+"""The virtual lab: the true rig lights a scene, and the scanner scans it with its own rig."""
 
 import platform
 from dataclasses import asdict, dataclass, replace
@@ -30,10 +30,10 @@ MIN_DECODED = 0.05  # A smaller share of decoded pixels shows the settings, not 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lab:
-    """Data that stay the same for all scenes.
+    """Data for all scenes of a certificate.
 
-    `ray` are the directions of the pixels through the true camera, `scanner_ray` those that the
-    scanner believes in.
+    `ray` has the directions of the true camera's pixels, `scanner_ray` the directions by the
+    scanner's calibration.
     """
 
     scanner: Scanner
@@ -52,7 +52,7 @@ class Lab:
 class Shots:
     """One scene: its truth, the light of each frame, and the measurement of each shot.
 
-    `where` are the pixels in both fields and in the working range, away from outlines.
+    `where` is a mask of the pixels in both fields and in the working range, away from outlines.
     """
 
     truth_m: Float[np.ndarray, "h w"]
@@ -65,7 +65,7 @@ class Shots:
 
 
 def open_lab(scanner: Scanner, rig: Rig, scope: Scope, renderer: Renderer) -> Lab:
-    """Raises ValueError where camera and projector share no field."""
+    """Return a lab; raises ValueError if camera and projector share no field."""
     code = scanner.light_code()
     return Lab(
         scanner=scanner,
@@ -82,10 +82,10 @@ def open_lab(scanner: Scanner, rig: Rig, scope: Scope, renderer: Renderer) -> La
 
 
 def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed: int) -> Shots:
-    """Render a scene once and scan it `captures` times; only the sensor's noise differs.
+    """Render a scene once and scan it `captures` times with different sensor noise.
 
     Raises:
-        ValueError: nothing of the artefacts lies in the volume.
+        ValueError: no artefact is in the volume, or hardly any of it is decoded.
     """
     seeds = np.random.SeedSequence(seed).generate_state(captures + 1).tolist()
     rendering = _render(lab, surfaces, seeds[0])
@@ -142,9 +142,9 @@ def _in_volume(lab: Lab, rendering: Rendering) -> Bool[np.ndarray, "h w"]:
 def _metered(
     lab: Lab, rendering: Rendering, where: Bool[np.ndarray, "h w"]
 ) -> tuple[Scanner, ExposureTimes]:
-    """Return the scanner with the exposures that suit the artefact, and their times.
+    """Return the scanner with exposures that are metered on the artefact, and their times.
 
-    Its own automatic looks at the whole picture, which a small sphere does not fill.
+    The scanner's automatic exposure uses the whole picture, which a small sphere does not fill.
     """
     if not where.any():
         raise ValueError(
@@ -161,7 +161,7 @@ def _metered(
 
 
 def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
-    """Return the angle of incidence of the camera's ray or of the projector's, the steeper one."""
+    """Return the angle of incidence of the camera's or the projector's ray, whichever is larger."""
     point = lab.ray * shots.truth_m[..., None]
     to_projector = transform_points(lab.rig.T_proj_cam, point)
     normal_proj = shots.normal @ lab.rig.T_cam_proj[:3, :3]
@@ -173,7 +173,7 @@ def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
 
 
 def measured_points(lab: Lab, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
-    """Return the scanner's points, camera frame; NaN where it has no depth."""
+    """Return the scanner's points in the camera frame; NaN without depth."""
     return lab.scanner_ray * depth_m[..., None].astype(np.float64)
 
 
@@ -197,7 +197,7 @@ def blur(lab: Lab) -> tuple[BlurResult, ...]:
 
 
 def fields_m(lab: Lab) -> dict[str, tuple[float, float]]:
-    """Return the common rectangle's width and height at the near end, middle and far end."""
+    """Return width and height of the common field at the near end, the middle and the far end."""
     fields = {}
     for name, share in (("near", 0.0), ("middle", 0.5), ("far", 1.0)):
         field = common_rectangle_m(lab.rig, lab.volume.depth_m(share))

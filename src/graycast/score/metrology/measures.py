@@ -1,6 +1,6 @@
 """Quantities of metrology from points and pictures: fits, ranges, noise, spacing, modulation.
 
-Pure functions of arrays; they know neither artefacts nor scanners.
+All functions depend only on arrays, not on artefacts or scanners.
 """
 
 import math
@@ -19,10 +19,10 @@ CONVERGED = 1e-12  # share of the radius
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviations:
-    """Distances of points from the shape that was fitted to them.
+    """Distances of points from a fitted shape.
 
-    `range_m` is largest less smallest signed distance, `std_m` their standard deviation; both of
-    the points kept, whose number is `points`.
+    `range_m` is the largest minus the smallest signed distance, `std_m` the standard deviation of
+    the distances. Both are over the `points` that are kept; `dropped` points are left out.
     """
 
     range_m: float
@@ -33,7 +33,7 @@ class Deviations:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneFit:
-    """The plane `normal . p = offset_m`, its normal towards the origin's side (offset positive)."""
+    """The plane `normal . p = offset_m`, with a normal that makes the offset positive."""
 
     normal: Float[np.ndarray, "3"]
     offset_m: float
@@ -72,9 +72,9 @@ def fit_plane(point: Float[np.ndarray, "n 3"]) -> PlaneFit:
 
 
 def fit_sphere(point: Float[np.ndarray, "n 3"]) -> SphereFit:
-    """Return the sphere with the least sum of squared radial distances; its radius is free.
+    """Return the sphere (with a free radius) of the least sum of squared radial distances.
 
-    Gauss-Newton on `|p - c| - r`, from the algebraic fit `|p|^2 = 2 c . p + r^2 - |c|^2`.
+    Gauss-Newton steps on `|p - c| - r` start at the algebraic fit `|p|^2 = 2 c . p + r^2 - |c|^2`.
 
     Raises:
         ValueError: fewer than four points, or points that do not make a sphere.
@@ -103,7 +103,7 @@ def fit_sphere(point: Float[np.ndarray, "n 3"]) -> SphereFit:
 
 
 def without_worst(distance: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Select all points except the 3 in 1000 (rounded down) that are farthest from the shape."""
+    """Return a mask of all points but the 3 in 1000 (rounded down) with the largest distances."""
     worst = len(distance) * DROPPED_SHARE[0] // DROPPED_SHARE[1]
     keep = np.ones(len(distance), dtype=bool)
     if worst:
@@ -112,10 +112,10 @@ def without_worst(distance: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 
 def flatness(point: Float[np.ndarray, "n 3"]) -> tuple[PlaneFit, Deviations]:
-    """Return the range of the signed distances from the best-fit plane.
+    """Return the best-fit plane, and the deviations of points from it.
 
-    A plane is fitted to all points, the worst 3 in 1000 are dropped, and it is fitted again to the
-    rest. Source: the quantity is that of VDI/VDE 2634 part 2, as secondary sources give it.
+    A plane is fitted to all points, the worst 3 in 1000 points are dropped, and a plane is fitted
+    to the rest. Source: VDI/VDE 2634 part 2, as secondary sources quote it.
     """
     keep = without_worst(fit_plane(point).distance_m(point))
     fit = fit_plane(point[keep])
@@ -123,7 +123,7 @@ def flatness(point: Float[np.ndarray, "n 3"]) -> tuple[PlaneFit, Deviations]:
 
 
 def probing(point: Float[np.ndarray, "n 3"]) -> tuple[SphereFit, Deviations]:
-    """Return the range of radial distances from the best-fit sphere, trimmed like `flatness`."""
+    """Return the best-fit sphere, and the deviations from it; drop points as in `flatness`."""
     keep = without_worst(fit_sphere(point).distance_m(point))
     fit = fit_sphere(point[keep])
     return fit, _deviations(fit.distance_m(point[keep]), len(point))
@@ -141,14 +141,14 @@ def _deviations(distance: Float[np.ndarray, " n"], measured: int) -> Deviations:
 def temporal_noise_m(depth_m: Float[np.ndarray, "n h w"], where: Bool[np.ndarray, "h w"]) -> float:
     """Return the standard deviation of a pixel's depth from shot to shot (median over pixels).
 
-    The sample variance of n normal values is `sigma^2 / (n - 1)` times a chi-squared number of
-    n - 1 degrees of freedom; its median over the pixels is set against that number's median.
+    The sample variance of n normal values is `sigma^2 / (n - 1)` times a chi-squared number with
+    n - 1 degrees of freedom; sigma follows from the medians of variances and of that number.
 
     Args:
-        depth_m: n captures of one scene; a pixel counts where all of them have a value.
+        depth_m: n captures of one scene; only pixels with depth in all captures count.
 
     Returns:
-        NaN where no pixel counts.
+        The standard deviation; NaN if no pixel counts.
 
     Raises:
         ValueError: fewer than two captures.
@@ -165,11 +165,11 @@ def temporal_noise_m(depth_m: Float[np.ndarray, "n h w"], where: Bool[np.ndarray
 
 
 def depth_error_m(error_m: Float[np.ndarray, " n"]) -> float:
-    """Return the standard deviation of measured less true depth over the pixels of one shot.
+    """Return the standard deviation of measured minus true depth over the pixels of one shot.
 
-    The pixels that are farthest from the median are dropped as in `flatness`. Unlike temporal
-    noise, it has errors that are the same in every shot; an error that all pixels share is in
-    neither.
+    The pixels farthest from the median are dropped as in `flatness`. Unlike temporal noise, the
+    result contains errors that are the same in every shot, but neither contains an error that all
+    pixels share.
     """
     keep = without_worst(error_m - np.median(error_m))
     return float(error_m[keep].astype(np.float64).std())
@@ -178,8 +178,8 @@ def depth_error_m(error_m: Float[np.ndarray, " n"]) -> float:
 def point_spacing_m(point: Float[np.ndarray, "h w 3"], where: Bool[np.ndarray, "h w"]) -> float:
     """Return the median distance between points of neighbouring pixels, across the camera's axis.
 
-    Their difference in depth is left out: on a facing plane it is noise. NaN where no two
-    neighbours count.
+    Differences in depth are left out, because on a facing plane they are noise. The result is NaN
+    if no two neighbours count.
     """
     xy = np.where((where & np.isfinite(point[..., 2]))[..., None], point[..., :2], np.nan)
     steps = [np.linalg.norm(np.diff(xy, axis=axis), axis=-1).ravel() for axis in (0, 1)]
@@ -193,16 +193,16 @@ def modulation(
 ) -> dict[str, float]:
     """Return the mean modulation of each bit and each set of phases over pixels; 1 is perfect.
 
-    With white W and black B: `|P - I| / (W - B)` of a binary frame and its inverse, without one
-    `|2 P - W - B| / (W - B)`; of phases or lines twice the amplitude over W - B, which a lit line
-    in every `period` pixels brings to 4 / period at most.
+    With white W and black B, the modulation is `|P - I| / (W - B)` for a binary frame and its
+    inverse, `|2 P - W - B| / (W - B)` for a frame without an inverse, and twice the amplitude over
+    W - B for phases or lines. Lines with a period p reach at most 4 / p.
 
     Args:
-        light: one picture per frame, linear, any unit.
+        light: one linear picture per frame, in any unit.
 
     Returns:
-        By the name of the (first) frame. Sets of phases that are not complete (micro phase
-        shifting's) are left out, and a code without white and black frames has none.
+        Modulation by the name of the (first) frame. Incomplete sets of phases (as in micro phase
+        shifting) are left out. The result is empty for a code without white and black frames.
     """
     value_of = {frame: light[k, where].astype(np.float64) for k, frame in enumerate(code.frames)}
     ends = {frame.kind: picture for frame, picture in value_of.items() if frame.axis is None}
@@ -224,7 +224,7 @@ def _swing(
     value_of: dict[Frame, Float[np.ndarray, " n"]],
     both_ends: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"] | None:
-    """Bright less dark, once per bit and set of phases: the frame that speaks for it has one."""
+    """Return bright minus dark light for the first frame of a bit or set of phases, else None."""
     if frame.kind in ("gray", "complementary") and not frame.inverse:
         inverted = [other for other in value_of if _is_inverse(other, frame)]
         return np.abs(picture - value_of[inverted[0]] if inverted else 2 * picture - both_ends)

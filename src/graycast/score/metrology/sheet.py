@@ -1,4 +1,4 @@
-"""A certificate as files: JSON, plots, and one page that reads like a maker's datasheet."""
+"""The files of a certificate: JSON, plots, and a web page like a manufacturer's datasheet."""
 
 import base64
 import json
@@ -19,10 +19,10 @@ REMARK = (
 def write_certificate(certificate: Certificate, out: Path) -> Path:
     """Write `certificate.json`, the plots as PNGs and `certificate.html` into a folder.
 
-    The page is one file: its pictures are in it, it has no scripts and asks no network.
+    The page is one file with embedded pictures, and needs no scripts and no network.
 
     Returns:
-        The page's path.
+        The path of the page.
     """
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(certificate.record(), indent=2, allow_nan=False)
@@ -34,14 +34,14 @@ def write_certificate(certificate: Certificate, out: Path) -> Path:
 
 
 def describe(certificate: Certificate) -> str:
-    """Return the datasheet's figures as text, one per line; lengths in mm."""
+    """Return the figures of the datasheet as text, one per line, with lengths in mm."""
     lines = [f"{name:34} {value:>18}" for name, value, _ in _figures(certificate)]
     lines.append(f"{certificate.scenes} scenes in {certificate.seconds:.0f} s")
     return "\n".join(lines)
 
 
 def _figures(certificate: Certificate) -> list[tuple[str, str, str]]:
-    """Return each figure of the datasheet: name, value and how it was measured."""
+    """Return name, value and method of measurement for each figure of the datasheet."""
     c, s = certificate, certificate.summary
     near, middle, far = c.facing[0], c.middle, c.facing[-1]
     ends = f"{1e3 * near.z_m:.0f} / {1e3 * middle.z_m:.0f} / {1e3 * far.z_m:.0f} mm"
@@ -111,7 +111,7 @@ def _mm(length_m: float, *, sign: bool = False) -> str:
 
 
 def _number(length_m: float, *, sign: bool = False) -> str:
-    """Return a length in mm with three digits, as a datasheet has them."""
+    """Return a length in mm as text with three digits."""
     if not math.isfinite(length_m):
         return "n/a"
     value = 1e3 * length_m

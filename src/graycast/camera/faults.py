@@ -97,7 +97,7 @@ def with_faults(
             Where the light is more even, as on white paper, the point is nearer to the centre.
 
     Returns:
-        A depth map whose `sigma_m` includes the error; the given map if there is no `raster_px`.
+        A depth map whose `sigma_m` includes the error; the unchanged map if `raster_px` is off.
     """
     if not spec.raster_px:
         return depth

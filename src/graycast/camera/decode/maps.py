@@ -239,7 +239,7 @@ class CodeMap:
     `column`, `row` and their standard deviations [projector px] are NaN where `reason` is not
     DECODED, and for an axis that is not coded. `modulation` is brightest minus darkest frame or,
     for a phase code, twice the amplitude, as a share of the sensor's range. `mark` has the bits of
-    `Mark`; it is None if they were not stored.
+    `Mark`; it is None if the marks were not stored.
     """
 
     column: arrays.FloatArray_h_w

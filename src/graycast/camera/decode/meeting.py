@@ -96,7 +96,7 @@ def off_the_line_px(ray, depth_m, along, T, lens, off_px):
 
 @kernel(error_model="numpy")
 def _meet_ray(ray, n, across, along, T, lens):
-    """Return depth and slope of one ray, and whether the distortion has an inverse there."""
+    """Return depth and slope for one ray, and whether the distortion has an inverse for it."""
     terms = (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)
     u = (across - lens.centre_u) / lens.focal_u
     v = (along - lens.centre_v) / lens.focal_v

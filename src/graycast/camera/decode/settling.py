@@ -44,7 +44,7 @@ class Pixels(NamedTuple):
 
 
 def settle(pixels, place, period, *, min_lead):
-    """Resolve `OPEN` counts of periods by the neighbours; without agreement they remain open.
+    """Resolve `OPEN` counts of periods by the neighbours; without agreement, counts remain open.
 
     The step between two phases gives, for each candidate position of a pixel, the period that a
     neighbour on the same surface would have. The total cost of a candidate is its own cost plus,

@@ -19,7 +19,7 @@ def is_file_storage(text: str) -> bool:
 
 
 def check_rotation(R: Float[np.ndarray, "3 3"], where: str) -> None:
-    """Refuse a matrix that is not a rotation to 1e-6; it is not made orthonormal silently."""
+    """Refuse a matrix that is not a rotation to 1e-6, instead of making it orthonormal silently."""
     if is_rigid(rigid(R, np.zeros(3))):
         return
     error = np.abs(R @ R.T - np.eye(3)).max()

@@ -106,7 +106,7 @@ def register(first: Prepared, second: Prepared) -> PictureMotion:
     tiles of the picture.
 
     Leaves out: a roll about the optical axis, whose mean motion is 0; scenes of which only a part
-    moved, where most of the structure decides; motions of over a tenth of the picture.
+    moved (the part with most structure decides); motions of over a tenth of the picture.
 
     Source: Lucas & Kanade, "An Iterative Image Registration Technique", IJCAI 1981 (optical flow);
     Kuglin & Hines, "The Phase Correlation Image Alignment Method", 1975.

@@ -129,7 +129,7 @@ def _agreed(gaps: Gaps, sides: tuple[str, str], known_m: float | None) -> Baseli
 
 
 def _mode(estimate_m: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float:
-    """Return the estimate with most others of its sign within 10 %; of equals, the middle one."""
+    """Return the estimate with most others of its sign within 10 %; in a tie, the middle one."""
     best, most = 0.0, 0.0
     for sign in (-1, 1):
         order = np.argsort(sign * estimate_m)

@@ -14,10 +14,10 @@ class DepthScan:
     """A depth map in the frame of its camera.
 
     Attributes:
-        depth_m: z in the camera frame [m]; NaN where there is none.
+        depth_m: z in the camera frame [m]; NaN without depth.
         K: pinhole intrinsics [px]; the centre of the top-left pixel is (0, 0). Distortion is
             left out: give undistorted maps, or accept the lens's errors.
-        gray: the brightness that the scanner saw, as a share of its range, 0 to 1.
+        gray: brightness in the scanner's picture, as a share of its range, 0 to 1.
         reason: a number per pixel for the reason why there is no depth.
         reason_names: name of each reason; 0, or the name 'DECODED', means that there is depth.
         baseline_m: the rig's baseline, if known; it is only shown next to the estimate.

@@ -42,7 +42,7 @@ class Twin:
     """Result of a fit, with pictures and the classifier's judgement.
 
     `examples` has a real scan, and scans of its scene by the configured scanner and by the twin.
-    `classified` has the tests 'before' and 'after' the search, and 'kept aside' for scans kept so.
+    `classified` has the tests 'before' and 'after' the search, and on scans 'kept aside' from it.
     """
 
     fit: Fit

@@ -33,7 +33,7 @@ class Parameter:
     `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
     the value under which a filter or fault is switched off, and `off_above` the one over which a
     limit is removed. `laser` is the value that a search found for one laser scanner (a PhoXi) over
-    one plastic bin. It is a start for scanners of that kind, whose noise comes from the surface and
+    one plastic bin. It is a start for similar scanners, whose noise comes from the surface and
     hardly from the light: see docs/measurements/twin.md.
     """
 
@@ -55,7 +55,7 @@ class Parameter:
         return float(f"{value:.4g}")
 
     def share(self, value: float) -> float:
-        """Return the place of a value between low and high, 0 to 1; values outside are clipped."""
+        """Return the position of a value between low and high, 0 to 1, clipped to this range."""
         value = min(max(value, self.low), self.high)
         if self.walk == "log":
             return math.log(value / self.low) / math.log(self.high / self.low)

@@ -47,7 +47,7 @@ _LEAST_PIXELS = 1000  # A scan without more valid pixels is not used.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A parameter's value, and the limits between which the scans leave it open (`reach_of`)."""
+    """A parameter's value, and the limits within which it remains uncertain (`reach_of`)."""
 
     parameter: Parameter
     value: float
@@ -90,7 +90,7 @@ def search(
 ) -> Fit:
     """Search for the best scanner, with about `trials` trials.
 
-    The places tried first are the start, the laser scanner of `PARAMETERS`, and the points of a
+    The first trials are at the start, at the laser scanner of `PARAMETERS`, and at points of a
     Sobol sequence over all ranges.
     """
     run = _Trials(start, lit, parameters, real, seed, trials, progress)

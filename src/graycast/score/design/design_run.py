@@ -194,7 +194,7 @@ def run_design(
         ConfigError: none of the settings can be used.
         DatasetError: the folder is in use, or its figures come from other values.
         DeviceError: this machine has no such device.
-        GraycastError, ValueError: all scans failed; the error is that of a scan.
+        GraycastError, ValueError: all scans failed; this is the error of one of them.
     """
     placed = place_settings(spec, settings_of(spec), progress=progress)
     task = DesignTask(

@@ -105,8 +105,8 @@ def sight(
     """Return the `Visibility` of points on the parts from a camera or a projector.
 
     A point is hidden if the nearest face in its pixel is closer than the point by more than
-    `SLACK_M`, both at the pixel's centre and where the face's plane meets the ray of the point. The
-    picture has at least `LEAST_PX`, because edges may be off by half a pixel.
+    `SLACK_M`, both at the pixel's centre and at the intersection of the face's plane with the
+    point's ray. The picture has at least `LEAST_PX`, because edges may be off by half a pixel.
     """
     eye = _enlarged(optics)
     T_eye_world = inverse(T_world_eye)

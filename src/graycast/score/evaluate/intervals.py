@@ -11,7 +11,7 @@ correct both errors; for five scenes they are nearly the smallest and the larges
 Average precision is not a mean over scenes, so more than half of the draws may exceed the estimate.
 With the share p of draws below the estimate and z0 = Phi^-1(p), the limits are the percentiles
 Phi(2 z0 - z) and Phi(2 z0 + z) instead of Phi(-z) and Phi(z). This bias-corrected interval contains
-the estimate. The correction z0 is limited to z / 2, at which one limit is the median of the draws.
+the estimate. The correction z0 is limited to z / 2; there the median of the draws is a limit.
 If the estimate is still outside of the interval, the interval is extended to it.
 
 Sources: Hesterberg, "What Teachers Should Know About the Bootstrap", The American Statistician

@@ -94,7 +94,7 @@ class Group:
         by: quantity that defines the group.
         low, high: limits of the group's shares; `high` itself belongs only to the last group.
         other_instances: function that returns a mask of the instances outside of the group, which
-            are ignored there; their overlap stays intersection over union, unlike that of crowds.
+            are ignored there; their overlap stays intersection over union, unlike for crowds.
         other_detections: function that returns a mask of the detections that are no mistakes in
             the group if they match no instance; None if all such detections are mistakes.
     """
@@ -160,7 +160,7 @@ def _check_scenes(labelled: list[int], detected: list[int]) -> None:
 
 
 def shapes(there: Labels, of_scene: Detections, kind: Kind) -> tuple[list[Any], list[Any]]:
-    """Return the boxes or the run lengths of the instances, and those of the detections."""
+    """Return the outlines (boxes or run lengths) of the instances and of the detections."""
     if kind == "box":
         return there.box_px.astype(float).tolist(), of_scene.box_px.astype(float).tolist()
     if there.mask is None:

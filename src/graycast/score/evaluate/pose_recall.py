@@ -1,8 +1,8 @@
 """Counts of correct poses in each picture by BOP's rules.
 
-The sources are those of `pose_errors`. The counting follows section 2.3 of BOP 2020: if an object
-has n instances to find, its n estimates with the highest scores choose instances in the order of
-their scores. An instance is to be found if at least 10 % of it is visible.
+The sources are the same as in `pose_errors`. The counting follows section 2.3 of BOP 2020: if an
+object has n instances to find, its n estimates with the highest scores choose instances in the
+order of their scores. An instance is to be found if at least 10 % of it is visible.
 """
 
 from collections.abc import Mapping, Sequence

@@ -37,7 +37,7 @@ _ONE_CLASS = 1  # All objects have this id if classes do not matter.
 class Task:
     """An evaluation to run: the results, the dataset, and how to compare them.
 
-    A `split` or `division` of None means that of the results. `one_class` ignores classes.
+    If `split` or `division` is None, the value in the results is used. `one_class` ignores classes.
     """
 
     results: Path

@@ -49,6 +49,7 @@ FEWEST = 100
 MOST_SCATTER = 0.5  # No opaque material alone has a larger relative scatter.
 # At this many times the width alpha, GGX has 4 % of its peak, and indirect light is as strong.
 TAIL = 2.0
+BRIGHT_SHARE = 0.05  # As large a share of saturated pixels shows that there is a highlight.
 WIDE = 0.3  # A wider interval of roughness is no result.
 
 
@@ -191,7 +192,7 @@ def _angle_range(observations: Reflections, top: _Curve) -> tuple[float, float]:
             "they may show several materials, glass, grooves or a mirror; mark one with a mask"
         )
     low, high = np.percentile(observations.half_angle_rad, [2, 98])
-    if low > TAIL * top.roughness**2:
+    if low > TAIL * top.roughness**2 and observations.clipped.mean() < BRIGHT_SHARE:
         raise GraycastError(
             f"no pixel shows the highlight: half angles begin at {math.degrees(low):.0f} degrees, "
             "and the surface is polished like a mirror: scan parts that lie in more directions"

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-JOIN_PX = 8  # An area joins saturated pixels with pixels between them, up to this distance.
+JOIN_PX = 3  # An area joins saturated pixels and the pixels between them, over twice this gap.
 TRIALS = 300  # sampled planes
 NEAR_SHARE = 5e-4  # A pixel is on a plane if its depth is off by at most this share.
 LEAST_SHARE = 0.5  # An area stays unknown if fewer of its pixels with depth are on one plane,

@@ -39,7 +39,6 @@ from graycast.real.material import (
     MaterialFit,
     MaterialScan,
     fit_material,
-    fit_mottle,
     open_scan,
     read_masks,
     scale_of,
@@ -169,7 +168,7 @@ def with_mottle(scan: MaterialScan, mask: Mask, fit: MaterialFit) -> Material:
     """Return a fitted material with its mottle, unless a laser's speckle hides the mottle."""
     if scan.scanner.rig.speckle_contrast:
         return fit.material
-    return fit_mottle(scan, mask, seed=0).on(fit.material)
+    return scan.mottle(mask, seed=0).on(fit.material)
 
 
 def staged(

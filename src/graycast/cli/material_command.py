@@ -148,7 +148,7 @@ def _fit_classes(options: argparse.Namespace, scan, observations, division, *, s
 def _fit(options: argparse.Namespace, scan, observations, area, *, scale, out: Path) -> None:
     """Write the material of some pixels and its plot; `area` marks the pixels that show mottle."""
     from ..base.folder import write_whole
-    from ..real.material import describe_fit, draw_fit, fit_material, fit_mottle, material_text
+    from ..real.material import describe_fit, draw_fit, fit_material, material_text
 
     fit = fit_material(observations, scale=scale, metal=options.metal, seed=options.seed)
     mottle = None
@@ -156,7 +156,7 @@ def _fit(options: argparse.Namespace, scan, observations, area, *, scale, out: P
         print("note: mottle is not fitted, because the speckle of the laser looks like it")
     else:
         try:
-            mottle = fit_mottle(scan, area, seed=options.seed)
+            mottle = scan.mottle(area, seed=options.seed)
         except GraycastError as error:
             print(f"note: mottle is not fitted: {error}")
     print("\n".join(describe_fit(fit, mottle)))

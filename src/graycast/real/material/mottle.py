@@ -21,12 +21,10 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ...base.errors import GraycastError
-from ...camera.decode import Reason
+from ...camera.decode import Levels
 from ...world.parts import Material
 from ...world.parts.part import MOTTLE_PEAK
 from .fitting import FittedValue
-from .normals import smooth_normals
-from .scan import MaterialScan
 
 MOTTLE_MOST = 0.5  # the largest mottle of a material
 AROUND_PX = 15  # side of the neighbourhood
@@ -69,30 +67,35 @@ class MottleFit:
         return "at least " if length_px >= LENGTHS[-1] * (1 - 1e-9) else ""
 
 
-def fit_mottle(scan: MaterialScan, mask: Bool[np.ndarray, "h w"], *, seed: int) -> MottleFit:
-    """Fit the mottle of the surface inside a mask.
+def fit_mottle(
+    direct: Float[np.ndarray, "h w"],
+    use: Bool[np.ndarray, "h w"],
+    levels: Levels,
+    *,
+    pixel_m: float,
+    seed: int,
+) -> MottleFit:
+    """Fit the mottle of a smooth surface.
 
     Args:
+        direct: the projector's direct light under a white picture [DN above offset].
+        use: the pixels that show the surface, away from its edges.
+        levels: the noise of the sensor.
+        pixel_m: size of a pixel on the surface.
         seed: seed for the blocks that give the 95 % intervals.
 
     Raises:
-        GraycastError: too few pixels are decoded, not saturated, and have a normal.
+        GraycastError: the pixels are too few.
     """
-    result = scan.result
-    assert result.light is not None  # `MaterialScan.observations` refuses such a scan.
-    direct, levels = result.light[0].astype(np.float64), result.levels.levels
-    normals = smooth_normals(scan.scanner.rig.camera, scan.surface_m, mask)
-    use = mask & np.isfinite(normals.sigma_rad) & (result.codes.reason == Reason.DECODED)
     if use.sum() < LEAST_PX:
         raise GraycastError(
-            f"{scan.path}: only {use.sum()} pixels show the surface's mottle, and {LEAST_PX} are "
-            "needed: mark a larger area"
+            f"only {use.sum()} pixels show the surface's mottle, and {LEAST_PX} are needed: mark a "
+            "larger area"
         )
     ratio, use = _over_neighbourhood(direct, use)
     noise2 = 2 * (levels.floor_dn2 + levels.slope_dn * np.maximum(direct, 0))
     noise2 = noise2 / np.maximum(direct, 1e-9) ** 2
     blocks = _block_sums(ratio, np.where(use, noise2, 0.0), use)
-    pixel_m = float(np.median(scan.surface_m[use])) / scan.scanner.rig.camera.fx_px
     return _fitted(blocks, pixel_m, np.random.default_rng(seed))
 
 

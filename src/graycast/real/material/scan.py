@@ -14,6 +14,8 @@ from ...camera.scanner import Scanner
 from ...camera.stack import StackResult, decode_stack, read_description
 from ...dataset.raw import EXPOSURE, read_capture
 from ...dataset.safe_reading import Unreadable, read_mask
+from .mottle import MottleFit, fit_mottle
+from .normals import smooth_normals
 from .observing import Reflections, observe
 from .saturated import continue_planes
 
@@ -61,14 +63,8 @@ class MaterialScan:
                 f"{self.path}: {share:.0%} of the lit pixels of the surface are saturated, which "
                 "hides its highlights: take a shorter exposure"
             )
-        result = self.result
-        if result.light is None:
-            raise GraycastError(
-                f"{self.path}: the code cannot separate the projector's direct light, which needs "
-                "phases, or narrow stripes with their inverses: scan with such a code"
-            )
-        direct, indirect = (light.astype(np.float64) for light in result.light)
-        levels, decoded = result.levels.levels, inside & (codes.reason == Reason.DECODED)
+        direct, indirect = self._light()
+        levels, decoded = self.result.levels.levels, inside & (codes.reason == Reason.DECODED)
         bright = codes.reason == Reason.SATURATED
         if decoded.any():
             white = np.maximum((direct + indirect)[decoded], 1e-9)
@@ -82,6 +78,33 @@ class MaterialScan:
             mask=mask,
             exposure=self.exposure,
         )
+
+    def _light(self) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+        """Return direct and global light.
+
+        Raises:
+            GraycastError: the code cannot separate direct light.
+        """
+        if self.result.light is None:
+            raise GraycastError(
+                f"{self.path}: the code cannot separate the projector's direct light, which needs "
+                "phases, or narrow stripes with their inverses: scan with such a code"
+            )
+        direct, indirect = (light.astype(np.float64) for light in self.result.light)
+        return direct, indirect
+
+    def mottle(self, mask: Bool[np.ndarray, "h w"], *, seed: int) -> MottleFit:
+        """Fit the mottle of the decoded pixels in a mask that have a normal.
+
+        Raises:
+            GraycastError: the code cannot separate direct light, or the pixels are too few.
+        """
+        result, camera = self.result, self.scanner.rig.camera
+        direct = self._light()[0]
+        normals = smooth_normals(camera, self.surface_m, mask)
+        use = mask & np.isfinite(normals.sigma_rad) & (result.codes.reason == Reason.DECODED)
+        pixel_m = float(np.median(self.surface_m[use])) / camera.fx_px if use.any() else 1.0
+        return fit_mottle(direct, use, result.levels.levels, pixel_m=pixel_m, seed=seed)
 
     def saturated_pixels(self, mask: Bool[np.ndarray, "h w"] | None = None) -> int:
         """Return the number of saturated pixels in a mask that are on no known plane."""

@@ -74,7 +74,7 @@ def test_an_error_in_one_row_leaves_other_rows_unchanged():
 
 
 @pytest.mark.slow
-def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
+def test_a_stage_that_a_source_tree_cannot_run_is_listed_with_the_reason(tmp_path):
     """The tree has an empty package `graycast`, so no stage of the tool runs."""
     (tmp_path / "graycast").mkdir()
     (tmp_path / "graycast/__init__.py").write_text("")

@@ -184,7 +184,7 @@ def test_scattering_metal_reflects_equally_in_both_renderers(cpu_device, in_cycl
     assert (np.abs(ratio - 1) < 0.003 + 4 * error).all()
 
 
-def test_half_metallic_scattering_metal_reflects_equally_in_both_renderers(cpu_device, in_cycles):
+def test_a_scattering_half_metal_reflects_equally_in_both_renderers(cpu_device, in_cycles):
     """The limit is that of a half metallic surface."""
     cases = [
         (with_words(metallic=0.4, roughness=0.4, diffuse=0.6), view, lamp)

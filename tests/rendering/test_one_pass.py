@@ -91,7 +91,7 @@ def test_one_pass_agrees_with_separate_patterns_to_a_third_of_a_percent(mitsuba_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("levels", [slow(2), 256])
-def test_a_pattern_in_a_stack_equals_its_separate_rendering_in_every_bit(mitsuba_renderer, levels):
+def test_a_pattern_in_a_stack_equals_its_separate_rendering_bit_for_bit(mitsuba_renderer, levels):
     """The stack's patterns share the same paths; 34 of them need more than one word of bits."""
     scene, layout = corner_scene()
     size = (34, scene.rig.projector.height_px, scene.rig.projector.width_px)

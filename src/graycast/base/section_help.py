@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from .public_value import field_line
 
-if TYPE_CHECKING:  # Type checkers know the keywords of a model by pydantic's own metaclass.
+if TYPE_CHECKING:  # Type checkers get the keywords of a model from pydantic's own metaclass.
     from pydantic._internal._model_construction import ModelMetaclass
 
     SectionType = ModelMetaclass

@@ -168,7 +168,9 @@ class Capture:
     sensor: SensorSpec
     exposure_s: float | arrays.FloatArray_h_w
     reference_s: float = math.nan  # NaN becomes the shortest exposure time.
-    times_s: tuple[float, ...] = ()  # An empty tuple becomes the times that pixels have.
+    times_s: tuple[
+        float, ...
+    ] = ()  # An empty tuple is replaced by the exposure times of the pixels.
 
     def __post_init__(self) -> None:
         if math.isnan(self.reference_s):

@@ -30,8 +30,10 @@ PathDepth = Annotated[
         description="The largest number of surfaces on a light path. 1 is direct light only.",
     ),
 ]
-OnFrame = Callable[[int, int], None]  # Arguments: numbers of finished and of all renders of a scene
-# Arguments: numbers of finished and of all samples of a stack. An exception ends the rendering.
+OnFrame = Callable[
+    [int, int], None
+]  # Arguments: number of finished renders of a scene, and number of all
+# Arguments: number of finished samples of a stack, and number of all. An exception ends the rendering.
 OnPass = Callable[[int, int], None]
 
 

@@ -22,7 +22,7 @@ from ..base.file_limits import parse_json
 from ..base.folder import cache_folder, write_whole
 from ..base.version import __version__
 
-_LIMIT_S = 300.0  # The first picture on a GPU takes about 10 s to compile.
+_LIMIT_S = 300.0  # Compilation for the first picture on a GPU takes about 10 s.
 _CHILD = f"{__package__}.trial_picture"
 _PACKAGES = ("mitsuba", "drjit", "pyoidn")
 

@@ -146,7 +146,7 @@ def test_a_gray_bit_is_saturated_only_if_its_inverse_is_saturated_too(bit):
     assert one_pixel(code, change=the_lit_one) is Reason.DECODED
 
 
-def test_a_saturated_narrow_stripe_without_an_inverse_saturates_its_pixel():
+def test_a_pixel_is_saturated_if_a_narrow_stripe_without_an_inverse_is():
     """Saturated stripes hide the brightness of white, and blur moves narrow ones to its middle.
 
     A saturated white frame alone does not: the lit stripes show the brightness.

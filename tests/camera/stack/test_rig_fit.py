@@ -79,7 +79,7 @@ def test_points_beyond_the_working_range_reveal_an_inverted_rig(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_correct_rig_causes_no_note_for_codes_of_both_axes_or_a_visible_edge(shots, tmp_path):
+def test_a_correct_rig_gets_no_note_if_both_axes_are_coded_or_an_edge_is_visible(shots, tmp_path):
     for name, (rig, code, stack) in shots.items():
         folder = tmp_path / name
         folder.mkdir()

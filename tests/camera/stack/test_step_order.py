@@ -79,7 +79,7 @@ def test_an_exchange_without_gray_bits_is_named_with_two_pairs(one, other, twin,
 @pytest.mark.parametrize(
     ("name", "one", "other"), [("three", 0, 1), slow("three", 1, 2), ("four", 1, 3)]
 )
-def test_an_exchange_that_looks_like_a_reversed_sine_is_named_first(name, one, other, tmp_path):
+def test_swapped_steps_that_look_like_a_reversed_sine_are_named_first(name, one, other, tmp_path):
     """Oracle: k and c - k differ in two of three steps, or of four if c is even."""
     (warning,) = warnings_of(tmp_path, name, one, other)
     first, second = warning.split(" may be exchanged, or ")

@@ -16,7 +16,7 @@ def test_a_highlight_gets_the_depth_of_its_plane():
     assert np.allclose(continue_planes(depth_m, HIGHLIGHT), PLANE_M, rtol=1e-9)
 
 
-def test_a_highlight_beyond_a_step_gets_the_plane_of_most_of_its_pixels():
+def test_a_highlight_across_a_step_gets_the_plane_of_most_of_its_pixels():
     """A quarter of the pixels between the saturated ones are on a higher surface."""
     stepped_m = np.where((COLUMN > 51) & ~HIGHLIGHT, PLANE_M - 0.02, PLANE_M)
     filled_m = continue_planes(np.where(HIGHLIGHT, np.nan, stepped_m), HIGHLIGHT)

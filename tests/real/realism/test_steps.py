@@ -86,7 +86,7 @@ def test_rims_removed_by_a_filter_do_not_change_the_baseline():
     assert estimate.plain_m > 1.15 * 0.2
 
 
-def test_random_holes_show_no_projector():
+def test_random_holes_are_no_evidence_of_a_projector():
     rng = np.random.default_rng(3)
     depth_m = plates((0.0, 0.0, 0.0), scattered_plates(rng))  # light from the camera: no shadow
     assert not np.isnan(depth_m).any()

@@ -15,7 +15,9 @@ from .settling import CLEAR, OPEN, REFUSED
 MAX_MISFIT = 9.0  # A position is refused if the mean square of its residuals, in sigmas, is larger.
 # The cost of the second-best position must be higher by this (4 sigma), else the choice is open.
 MIN_LEAD = 16.0
-APART_SIGMAS = 4.0  # A phase that differs more from the finest one is not averaged with it.
+APART_SIGMAS = (
+    4.0  # A phase that differs from the finest one by more than this is not averaged with it.
+)
 USUAL_SIGMAS = 2.0  # Up to this many sigmas, a difference between phases does not widen sigma.
 SLACK_SIGMAS = 4.0  # A position may exceed its bounds by this many sigmas of its phase's noise.
 NOWHERE = 1e30  # Cost of a position that is out of bounds.

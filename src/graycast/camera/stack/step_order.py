@@ -25,7 +25,9 @@ FEWEST, MOST = 500, 20_000  # The fewest pixels that are enough, and the most th
 # in the stated order (half the share if the pattern is binary stripes). If the stated order is
 # right, no exchange reduces the difference.
 LEFT = 0.6
-CLEARLY = 0.4  # The best order must have less than this share of the difference of the next one.
+CLEARLY = (
+    0.4  # The best order must have less than this share of the second-best order's difference.
+)
 ALIKE = 1.01  # Orders whose differences agree within this factor are equally good.
 ROUNDING = 1e-9  # Differences below this share of the squared contrast are rounding errors.
 

@@ -121,7 +121,7 @@ class _Subset:
     """Some pixels of each piece; `weight` makes their number that of the piece's windows."""
 
     model: SurfaceModel
-    place: Int[np.ndarray, " m"]  # The pixel's piece
+    place: Int[np.ndarray, " m"]  # Index of each pixel's piece
     weight: Float[np.ndarray, " m"]
     windows: Float[np.ndarray, " pieces"]
 

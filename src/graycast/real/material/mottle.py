@@ -28,7 +28,7 @@ from .fitting import FittedValue
 
 MOTTLE_MOST = 0.5  # the largest mottle of a material
 AROUND_PX = 15  # side of the neighbourhood
-BLOCK_PX = 24  # Blocks of this side are drawn again and again for the intervals.
+BLOCK_PX = 24  # Blocks of this side are resampled with replacement for the intervals.
 LEAST_PX, LEAST_BLOCKS = 400, 8
 LIMIT = 0.4  # Pixels that are farther from their neighbourhood's median show edges, not mottle.
 DRAWS = 400

@@ -141,7 +141,9 @@ class RescanFolder:
             place.unlink(missing_ok=True)  # The file may be absent or a broken link.
             place.symlink_to(path.resolve(), target_is_directory=path.is_dir())
             return
-        with beside(place) as aside:  # The file is complete or absent, as the next run keeps it.
+        with (
+            beside(place) as aside
+        ):  # The file is complete or absent, because the next run keeps a file that exists.
             (shutil.copytree if path.is_dir() else shutil.copyfile)(path, aside)
             if linked:
                 place.unlink()  # a folder cannot be renamed onto a link

@@ -23,7 +23,7 @@ from ...world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
 from .artefacts import Volume, common_rectangle_m, in_view, working_volume
 from .certificate import BlurResult, Scope
 
-ERODED_PX = 3  # width of the strip along the outline of each artefact that is left out
+ERODED_PX = 3  # width of the strip that is left out along the outline of each artefact
 BLUR_DEPTHS = 21
 MIN_DECODED = 0.05  # A smaller share of decoded pixels shows the settings, not the shape.
 

@@ -312,7 +312,7 @@ class Session:
         If the old process had not finished a picture, a new process would end in the same way.
         """
         with self._lock:
-            if self._maker is None:  # `pause` was faster.
+            if self._maker is None:  # `pause` ran first.
                 return
             self._maker = None
             text = f"the process that makes the pictures was ended by {by}"

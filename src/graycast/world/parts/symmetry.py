@@ -14,7 +14,7 @@ from .sampling import dense_points
 STEP = 0.01  # The rim of a turned body moves by at most this share of its diameter, as in BOP.
 SHAPE_STEP = 0.04  # Shapes are compared at points that are this share of the diameter apart.
 SHAPE_TOLERANCE = 0.01  # The surface moves by less than this share of the diameter.
-LEFT = 0.98  # After a symmetry, this share of the points is on the surface.
+LEFT = 0.98  # After a symmetry operation, at least this share of the points is on the surface.
 FOLDS = (2, 3, 4, 5, 6, 8)  # Rotations by a full turn divided by these numbers are tried.
 MOST_MOTIONS = 120  # The icosahedron, the solid with the most rotations, has 60.
 MANY = 36  # A body of revolution is symmetric under a full turn divided by this.

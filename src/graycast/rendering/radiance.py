@@ -30,10 +30,9 @@ PathDepth = Annotated[
         description="The largest number of surfaces on a light path. 1 is direct light only.",
     ),
 ]
-OnFrame = Callable[
-    [int, int], None
-]  # Arguments: number of finished renders of a scene, and number of all
-# Arguments: number of finished samples of a stack, and number of all. An exception ends the rendering.
+# Arguments: number of finished renders of a scene, and number of all
+OnFrame = Callable[[int, int], None]
+# Arguments: number of finished samples of a stack, and of all. An exception ends the rendering.
 OnPass = Callable[[int, int], None]
 
 

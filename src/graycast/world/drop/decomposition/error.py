@@ -27,7 +27,8 @@ LID_SAMPLES = 1000  # Number of points on the surface of the volume that a hull 
 NEAR = 48  # Distance is measured to the triangles of this many nearest samples.
 AT_A_TIME = 32  # Exact distances are computed for this many points at once.
 STEEP = 0.5  # Directions to outside points have a larger cosine to the normal.
-_NOTHING = 1e-4  # A filling is only round-off if its mean thickness is less than this share of the tolerance.
+# A filling is only round-off if its mean thickness is less than this share of the tolerance.
+_NOTHING = 1e-4
 
 
 def tolerance_m(mesh: Mesh) -> float:

@@ -54,7 +54,7 @@ class Task:
 
 
 def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:
-    """Return the evaluation of results, and a function that reads a scene's picture (uint8 RGB).
+    """Return the evaluation of results, and a reader of pictures (UInt8Array_h_w_3).
 
     Args:
         progress: counter of the scenes that are read.

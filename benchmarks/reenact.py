@@ -8,9 +8,9 @@ and the same decoder reads both stacks.
 Two numbers of the real camera are taken from its own pictures: its black level, and the factor
 between light and digital numbers, which makes the medians of the masked pixels equal.
 
-Leaves out: the blur of lenses that the rig file does not state; grain; light from outside of the
-picture; surfaces without depth, unless they are saturated. Pixels without a normal, at edges and
-on small faces, are rendered but not compared.
+Leaves out: the blur of lenses that the rig file does not state; light from outside of the picture;
+surfaces without depth, unless they are saturated. Pixels without a normal, at edges and on small
+faces, are rendered but not compared.
 """
 
 import shutil
@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.stats import spearmanr
 
-from graycast.base.errors import DecodeError
+from graycast.base.errors import DecodeError, GraycastError
 from graycast.base.plotting import caption, plain_figure, save_png
 from graycast.camera.decode import DepthMap, Reason, epipolar_residual_px, off_the_line, triangulate
 from graycast.camera.decode.plan import plan_axes
@@ -165,10 +165,11 @@ def fitted(
 
 
 def with_mottle(scan: MaterialScan, mask: Mask, fit: MaterialFit) -> Material:
-    """Return a fitted material with its mottle, unless a laser's speckle hides the mottle."""
-    if scan.scanner.rig.speckle_contrast:
+    """Return a fitted material with its mottle, if the scan determines the mottle."""
+    try:
+        return scan.mottle(mask, seed=0).on(fit.material)
+    except GraycastError:
         return fit.material
-    return scan.mottle(mask, seed=0).on(fit.material)
 
 
 def staged(

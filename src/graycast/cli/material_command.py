@@ -50,8 +50,8 @@ def add_material(group) -> None:
     )  # fmt: skip
     add_option(
         material, "--metal", None,
-        "The surface is known to be metal. The share of light that it scatters is fitted, too, as "
-        "of a blasted or anodised metal.",
+        "The surface is known to be metal: fit also the share of the light that it scatters, as a "
+        "blasted or anodised metal does.",
     )  # fmt: skip
     add_out(material, "The YAML file to write, which must be new.")
     add_shared(material, "--seed", default=0)
@@ -84,7 +84,7 @@ def _material(options: argparse.Namespace) -> None:
     if white is not None:
         scale = scale_of(scan.observations(white), options.reflectance)
     if lost := scan.saturated_pixels(mask):
-        print(f"note: {lost} saturated pixels are left out, because no plane is around them")
+        print(f"note: {lost} saturated pixels are left out: no depth between them shows a plane")
     if mask is None:
         observations = scan.observations()
         division = divide(observations, scale=scale, seed=options.seed)
@@ -130,7 +130,7 @@ def _fit_classes(options: argparse.Namespace, scan, observations, division, *, s
         if number == reference:
             matt = scale_of(members, options.reflectance) / scale * options.reflectance
             print(f"the surface of --reference; as a matt surface, the class reflects {matt:.3f}")
-            write_whole(out, matt_text(options.reflectance, options.stack.name).encode())
+            write_whole(out, matt_text(options.reflectance, _source(options, scan)).encode())
             print(out)
             continue
         try:
@@ -145,6 +145,11 @@ def _fit_classes(options: argparse.Namespace, scan, observations, division, *, s
     print(f"\n{path}")
 
 
+def _source(options: argparse.Namespace, scan) -> str:
+    nm = 1e9 * scan.scanner.sensor.wavelength_m
+    return f"{options.stack.as_posix()}, scanned by {scan.scanner.rig.name} with {nm:.0f} nm"
+
+
 def _fit(options: argparse.Namespace, scan, observations, area, *, scale, out: Path) -> None:
     """Write the material of some pixels and its plot; `area` marks the pixels that show mottle."""
     from ..base.folder import write_whole
@@ -152,17 +157,12 @@ def _fit(options: argparse.Namespace, scan, observations, area, *, scale, out: P
 
     fit = fit_material(observations, scale=scale, metal=options.metal, seed=options.seed)
     mottle = None
-    if scan.scanner.rig.speckle_contrast:
-        print("note: mottle is not fitted, because the speckle of the laser looks like it")
-    else:
-        try:
-            mottle = scan.mottle(area, seed=options.seed)
-        except GraycastError as error:
-            print(f"note: mottle is not fitted: {error}")
+    try:
+        mottle = scan.mottle(area, seed=options.seed)
+    except GraycastError as error:
+        print(f"note: mottle is not fitted: {error}")
     print("\n".join(describe_fit(fit, mottle)))
-    nm = 1e9 * scan.scanner.sensor.wavelength_m
-    source = f"{options.stack.as_posix()}, scanned by {scan.scanner.rig.name} with {nm:.0f} nm"
-    write_whole(out, material_text(fit, source, mottle).encode())
+    write_whole(out, material_text(fit, _source(options, scan), mottle).encode())
     draw_fit(fit, observations, out.with_suffix(".png"))
     print(out)
     print(out.with_suffix(".png"))

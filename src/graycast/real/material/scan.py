@@ -97,8 +97,11 @@ class MaterialScan:
         """Fit the mottle of the decoded pixels in a mask that have a normal.
 
         Raises:
-            GraycastError: the code cannot separate direct light, or the pixels are too few.
+            GraycastError: the light is that of a laser, the code cannot separate direct light, or
+                the pixels are too few.
         """
+        if self.scanner.rig.speckle_contrast:
+            raise GraycastError("the speckle of the laser looks like mottle")
         result, camera = self.result, self.scanner.rig.camera
         direct = self._light()[0]
         normals = smooth_normals(camera, self.surface_m, mask)

@@ -30,6 +30,7 @@ from .decode import (
     levels_of,
     triangulate,
     triangulation_axis,
+    without_doubt,
 )
 from .exposure import ExposureSpec, exposure_times
 from .faults import FaultSpec, with_faults
@@ -216,13 +217,16 @@ def measure(
         path_noise: `path_noise` of the radiance from which the pictures were taken.
     """
     rig, code = scanner.rig, scanner.light_code()
-    axis = triangulation_axis(rig)
-    codes = decode(capture.frames, code, scanner.decode, levels_of(scanner.sensor))
-    codes = with_ripple(codes, code)
-    codes = with_position_term(codes, {axis: line_noise_px(code, axis, rig.line_noise)})
-    if path_noise is not None:
-        codes = with_position_term(codes, light_path_px(code, path_noise))
-    depth = triangulate(codes, rig, max_epipolar_px=scanner.decode.max_epipolar_px)
+    codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
+    depth = without_doubt(
+        depth,
+        capture.frames,
+        code,
+        levels_of(scanner.sensor),
+        codes,
+        rig,
+        max_p_wrong=scanner.decode.max_p_wrong,
+    )
     light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)
     if rig.speckle_contrast:
         own_reflectance = _effective_reflectance(scanner, capture, depth)
@@ -238,6 +242,24 @@ def measure(
         light_contrast=light_contrast,
     )
     return codes, with_depth_term(depth, bend_m(depth))
+
+
+def decode_capture(
+    scanner: Scanner, capture: Capture, *, path_noise: PathNoise | None
+) -> tuple[CodeMap, DepthMap]:
+    """Return positions and depth as the code gives them, before any depth is refused or filtered.
+
+    Args:
+        path_noise: `path_noise` of the radiance from which the pictures were taken.
+    """
+    rig, code = scanner.rig, scanner.light_code()
+    axis = triangulation_axis(rig)
+    codes = decode(capture.frames, code, scanner.decode, levels_of(scanner.sensor))
+    codes = with_ripple(codes, code)
+    codes = with_position_term(codes, {axis: line_noise_px(code, axis, rig.line_noise)})
+    if path_noise is not None:
+        codes = with_position_term(codes, light_path_px(code, path_noise))
+    return codes, triangulate(codes, rig, max_epipolar_px=scanner.decode.max_epipolar_px)
 
 
 def _of_black(scanner: Scanner) -> float:

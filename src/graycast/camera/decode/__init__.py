@@ -11,9 +11,11 @@ separation     direct and global light
 meeting        intersections of camera rays and projector planes, compiled
 field          pixels that the projector's picture cannot reach
 triangulation  from positions to depth
+evidence       the probability that a depth is wrong, from all frames and neighbours
 outliers, median, filters   filters that remove or smooth depth, as devices do
 """
 
+from .evidence import without_doubt, wrong_probability
 from .filters import filter_depth
 from .maps import (
     WRONG_M,
@@ -68,4 +70,6 @@ __all__ = [
     "separate",
     "triangulate",
     "triangulation_axis",
+    "without_doubt",
+    "wrong_probability",
 ]

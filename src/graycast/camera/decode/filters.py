@@ -131,8 +131,8 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
     else:
         filtered_m[:] = framed.inside(framed.z)
         filtered_sigma_m[:] = np.where(removed, np.float32(np.nan), framed.inside(framed.sigma))
-    reason = np.where(removed, np.uint8(Reason.OUTLIER), depth.reason)
-    return replace(depth, depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
+    smooth = replace(depth, depth_m=filtered_m, sigma_m=filtered_sigma_m)
+    return smooth.without(removed, Reason.OUTLIER)
 
 
 def _half_disc(radius_px: float) -> Int[np.ndarray, "n 2"]:

@@ -1,6 +1,6 @@
 """Inputs and results of decoding: sensor levels, settings and maps."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import Annotated
 
@@ -12,6 +12,7 @@ from ...base.public_value import public_value
 from ...base.settings import check_fields
 from ...rig.optics import Optics, mask_points
 from ..sensor import SensorSpec, stored_saturation_dn
+from .reasons import Reason
 
 # A depth is wrong if it is off by more than this length and by more than this number of its sigmas.
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
@@ -80,6 +81,8 @@ class DecodeSpec:
     light: below `min_visibility` of brightest minus darkest frame, the reason is INTERREFLECTION.
     If both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
     three standard deviations is an outlier; 0 switches this test off.
+    `max_p_wrong` uses all of this evidence at once: depth is removed if the probability that it is
+    wrong is larger. Set `doubt`, `min_visibility` and `max_epipolar_px` to 0 with it.
     """
 
     min_contrast: Annotated[
@@ -143,6 +146,15 @@ class DecodeSpec:
             "switches the test off.",
         ),
     ] = 2.0
+    max_p_wrong: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=1,
+            description="Largest probability that a depth is wrong, estimated from all frames and "
+            "the neighbours of the pixel. Less likely depth is removed. 1 switches this off.",
+        ),
+    ] = 1.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -261,17 +273,37 @@ class CodeMap:
 class DepthMap:
     """A measured depth map: z in the camera frame and its standard deviation [m].
 
-    Both are NaN where `reason` is not DECODED. `camera` has the optics of the map's pixels.
+    Both are NaN where `reason` is not DECODED, and so is `p_wrong`, the probability that the depth
+    is wrong (see `is_wrong`); it is None if it was not estimated. `camera` has the optics of the
+    map's pixels.
     """
 
     depth_m: arrays.FloatArray_h_w
     sigma_m: arrays.FloatArray_h_w
     reason: arrays.UInt8Array_h_w
     camera: Optics
+    p_wrong: arrays.FloatArray_h_w | None = None
 
     def __post_init__(self) -> None:
-        for map_of_pixels in (self.depth_m, self.sigma_m, self.reason):
-            map_of_pixels.flags.writeable = False
+        for map_of_pixels in (self.depth_m, self.sigma_m, self.reason, self.p_wrong):
+            if map_of_pixels is not None:
+                map_of_pixels.flags.writeable = False
+
+    def without(
+        self, removed: arrays.BoolArray_h_w, reason: Reason | arrays.UInt8Array_any
+    ) -> "DepthMap":
+        """Return the map without the depth of some pixels.
+
+        Args:
+            reason: the reason of all removed pixels, or of each of them, row by row.
+        """
+        depth_m, sigma_m, reasons = (m.copy() for m in (self.depth_m, self.sigma_m, self.reason))
+        depth_m[removed] = sigma_m[removed] = np.nan
+        reasons[removed] = reason
+        p_wrong = self.p_wrong
+        if p_wrong is not None:
+            p_wrong = np.where(removed, np.float32(np.nan), p_wrong)
+        return replace(self, depth_m=depth_m, sigma_m=sigma_m, reason=reasons, p_wrong=p_wrong)
 
     def is_wrong(self, true_m: arrays.FloatArray_h_w) -> arrays.BoolArray_h_w:
         """Return a mask of the pixels whose depth is wrong by more than both limits."""

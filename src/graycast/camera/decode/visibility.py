@@ -12,8 +12,6 @@ camera (columns for a vertical baseline) are used as epipolar lines: in a rig wi
 differ by a fraction of a pixel over the few pixels next to an edge.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float
 
@@ -54,14 +52,7 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
     ]
     beside = np.zeros(maps[0].shape, dtype=np.bool_)
     _hide(*maps, sigmas, beside)
-    hidden = beside if column else beside.T
-    nothing = np.float32(np.nan)
-    return replace(
-        depth,
-        depth_m=np.where(hidden, nothing, depth.depth_m),
-        sigma_m=np.where(hidden, nothing, depth.sigma_m),
-        reason=np.where(hidden, np.uint8(Reason.OUTLIER), depth.reason),
-    )
+    return depth.without(beside if column else beside.T, Reason.OUTLIER)
 
 
 @kernel()

@@ -1,12 +1,10 @@
 """Depth of a stack without points off their epipolar line, and with filters on request."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float
 
 from ...rig.pair import Rig
-from ..decode import CodeMap, DepthMap, FilterSpec, Reason, filter_depth, off_the_line, triangulate
+from ..decode import CodeMap, DepthMap, FilterSpec, Reason, filter_depth, off_the_line
 from ..sigma import bend_m, with_depth_term
 
 # Without a stated limit, the limit is this many times the median residual, and at least 2 px,
@@ -35,11 +33,8 @@ def believed_depth(
     filters: FilterSpec | None,
 ) -> DepthMap:
     """Return the depth without outliers, filtered on request, with the term `bend` in its sigma."""
-    if stated_px is None:
-        limit_px = epipolar_limit_px(stated_px, residual_px)
-        depth = less_outliers(codes, first, residual_px, rig, limit_px)
-    else:  # A scanner with this limit removes the same pixels.
-        depth = triangulate(codes, rig, max_epipolar_px=stated_px)
+    limit_px = epipolar_limit_px(stated_px, residual_px)
+    depth = less_outliers(codes, first, residual_px, rig, limit_px)
     if filters is not None:
         depth = filter_depth(depth, filters, rig)
     return with_depth_term(depth, bend_m(depth))
@@ -56,9 +51,4 @@ def less_outliers(
     if residual_px is None or not np.isfinite(limit_px):
         return depth
     far = off_the_line(codes, residual_px, rig, limit_px=limit_px)
-    depth_m, sigma_m, reason = (
-        getattr(depth, name).copy() for name in ("depth_m", "sigma_m", "reason")
-    )
-    reason[far] = Reason.OUTLIER
-    depth_m[far] = sigma_m[far] = np.nan
-    return replace(depth, depth_m=depth_m, sigma_m=sigma_m, reason=reason)
+    return depth.without(far, Reason.OUTLIER)

@@ -28,6 +28,7 @@ from ..decode import (
     separate,
     triangulate,
     triangulation_axis,
+    without_doubt,
 )
 from ..decode.plan import plan_axes
 from ..sigma import with_ripple
@@ -135,7 +136,16 @@ def decode_stack(
             residual_px = epipolar_residual_px(codes, first, rig)
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = epipolar_limit_px(stated_px, residual_px)
-        depth = believed_depth(codes, first, residual_px, rig, stated_px=stated_px, filters=filters)
+        sure = without_doubt(
+            first,
+            pictures.frames,
+            code,
+            levels.levels,
+            codes,
+            rig,
+            max_p_wrong=spec.max_p_wrong,
+        )
+        depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
         if not diagnosis.explained:
             warnings += _rig_symptoms(codes, rig, first, residual_px)
             notes += doubts(codes, rig)

@@ -229,6 +229,7 @@ def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
             "settling_votes": int(decode.settling_votes),
             "min_visibility": float(decode.min_visibility),
             "max_epipolar_px": float(decode.max_epipolar_px),
+            "max_p_wrong": float(decode.max_p_wrong),
         },
         "rig": rig,
     }

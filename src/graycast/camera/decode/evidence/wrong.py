@@ -1,0 +1,147 @@
+"""The probability that a decoded depth is wrong, from the evidence of `cues.py`.
+
+A depth is wrong if it is off by more than `WRONG_M` and `WRONG_SIGMAS` of its sigmas. The table of
+evidence, `wrong.npz`, is a sum of small decision trees, which gives the logarithm of the odds of a
+wrong depth. `python -m studies.wrong_depth` makes it from simulated scenes of several scanners,
+codes, parts and materials, with `sense` of each cue as a constraint: no tree may count a better fit
+as evidence against a pixel. docs/measurements/decoders.md has its calibration on other scenes.
+
+Source: J. Friedman, "Greedy Function Approximation: A Gradient Boosting Machine", 2001.
+"""
+
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float32, Int16, Int32, UInt8, UInt16
+
+from ....base.kernels import kernel
+from ....rig.pair import Rig
+from ....rig.pattern import Code
+from ..maps import CodeMap, DepthMap, Levels
+from ..reasons import Reason
+from .cues import CUES, NAMES, cues_of
+
+TABLE = "wrong.npz"
+
+
+class Evidence(NamedTuple):
+    """Decision trees, one node after the other.
+
+    A node sends a pixel to `low` if its cue is at most `limit` (or NaN and `lacking`), else to
+    `high`. A leaf has the cue -1. `start` has the first node of each tree, `typical` the median of
+    each cue where depth is right.
+    """
+
+    start: Int32[np.ndarray, " trees"]
+    cue: Int16[np.ndarray, " nodes"]
+    limit: Float32[np.ndarray, " nodes"]
+    lacking: Bool[np.ndarray, " nodes"]
+    low: Int32[np.ndarray, " nodes"]
+    high: Int32[np.ndarray, " nodes"]
+    log_odds: Float32[np.ndarray, " nodes"]
+    typical: Float32[np.ndarray, " cues"]
+
+
+@cache
+def evidence() -> Evidence:
+    """Return the table that is part of the package."""
+    with (files(__package__) / TABLE).open("rb") as file, np.load(file) as table:
+        if tuple(table["names"]) != NAMES:
+            raise RuntimeError(
+                f"{TABLE} was made for other cues: make it again with `python -m "
+                "studies.wrong_depth`"
+            )
+        return Evidence(*(table[name] for name in Evidence._fields))
+
+
+def wrong_probability(
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    code: Code,
+    levels: Levels,
+    codes: CodeMap,
+    depth: DepthMap | None,
+    rig: Rig | None,
+) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "cues h w"]]:
+    """Return the probability that each depth is wrong, NaN without depth, and the cues.
+
+    Args:
+        depth: the depth of the positions in `codes`, before filters; None without a rig. Then the
+            probability is that of the position.
+    """
+    cues = cues_of(frames, code, levels, codes, depth, rig)
+    known = codes.reason == Reason.DECODED if depth is None else np.isfinite(depth.depth_m)
+    p_wrong = np.full(known.shape, np.nan, dtype=np.float32)
+    _weigh(cues, known, evidence(), p_wrong)
+    return p_wrong, cues
+
+
+def without_doubt(
+    depth: DepthMap,
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    code: Code,
+    levels: Levels,
+    codes: CodeMap,
+    rig: Rig,
+    *,
+    max_p_wrong: float,
+) -> DepthMap:
+    """Return the depth with its `p_wrong`, less the pixels for which it is too large.
+
+    A removed pixel gets the reason whose evidence counts most against it.
+
+    Args:
+        depth: the depth of the positions in `codes`, before filters.
+        max_p_wrong: the largest accepted probability; with 1, nothing is estimated or removed.
+    """
+    if max_p_wrong == 1:
+        return depth
+    p_wrong, cues = wrong_probability(frames, code, levels, codes, depth, rig)
+    depth = replace(depth, p_wrong=p_wrong)
+    doubtful = p_wrong > np.float32(max_p_wrong)
+    return depth.without(doubtful, spoken_against(cues[:, doubtful])) if doubtful.any() else depth
+
+
+def spoken_against(
+    cues: Float32[np.ndarray, "cues n"],
+) -> UInt8[np.ndarray, " n"]:
+    """Return the reason of each pixel: the kind of evidence without which it would look best.
+
+    The cues of each reason in turn take their values at right pixels. The reason counts for which
+    the probability of a wrong depth falls most.
+    """
+    table = evidence()
+    reasons = list(dict.fromkeys(cue.reason for cue in CUES))
+    known = np.ones((1, cues.shape[1]), dtype=np.bool_)
+    left = np.empty((len(reasons), cues.shape[1]), dtype=np.float32)
+    for k, reason in enumerate(reasons):
+        usual = cues.copy()
+        for j, cue in enumerate(CUES):
+            if cue.reason == reason:
+                usual[j] = np.where(np.isnan(cues[j]), np.nan, table.typical[j])
+        _weigh(usual[:, None], known, table, left[k : k + 1])
+    return np.array(reasons, dtype=np.uint8)[left.argmin(axis=0)]
+
+
+@kernel(parallel=True, error_model="numpy")
+def _weigh(cues, known, table, p_wrong):
+    h, w = p_wrong.shape
+    for y in numba.prange(h):
+        own = np.empty(len(cues), np.float32)
+        for x in range(w):
+            if not known[y, x]:
+                continue
+            for j in range(len(own)):
+                own[j] = cues[j, y, x]
+            log_odds = np.float32(0)
+            for first in table.start:
+                node = first
+                while table.cue[node] >= 0:
+                    value = own[table.cue[node]]
+                    low = table.lacking[node] if np.isnan(value) else value <= table.limit[node]
+                    node = table.low[node] if low else table.high[node]
+                log_odds += table.log_odds[node]
+            p_wrong[y, x] = np.float32(1) / (np.float32(1) + np.exp(-log_odds))

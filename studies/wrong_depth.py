@@ -1,0 +1,251 @@
+"""The table from which the decoder takes the probability that a depth is wrong.
+
+python -m studies.wrong_depth scenes out/wrong_depth
+python -m studies.wrong_depth table out/wrong_depth
+
+The first command simulates heaps of random parts and materials in random bins, scanned with several
+rigs and with every code, and stores the cues of random pixels with the truth. A folder that exists
+is continued. The second command fits the table, checks it on scenes that were left out, prints the
+figures, and writes `wrong.npz` into the package. docs/measurements/decoders.md judges the table
+with other parts, heaps, bins, materials and one other rig.
+"""
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.metrics import roc_auc_score
+
+from benchmarks.decoders import bare, pictures_of, shared_patterns
+from benchmarks.stages import cell_of
+from benchmarks.zoo_parts import ZOO, zoo_part
+from graycast.camera.decode import DepthMap, levels_of
+from graycast.camera.decode.evidence import CUES, NAMES, TABLE, cues_of
+from graycast.camera.scanner import Scanner, decode_capture, measure
+from graycast.camera.sensor import Capture
+from graycast.rendering import Quality, Radiance, Renderer, open_renderer
+from graycast.rig.pattern import AXES, CODECS, CodeSpec
+from graycast.rig.pattern.spec import Codec
+from graycast.world.drop import DropLimits, drop
+from graycast.world.parts import Material
+from graycast.world.scene import Layout, Scene, bin_of
+
+RIGS = (
+    "like-phoxi-m", "like-phoxi-s", "like-phoxi-l", "like-zivid-2plus-m60", "paper",
+    "like-phoxi-m", "like-mech-eye-pro-s", "lab-lightcrafter-4500",
+)  # fmt: skip
+SMALL, LOW = range(70), range(100, 112)  # numbers of the scenes, by resolution
+JUDGED_PART = "metal_workpiece_1"  # docs/measurements/decoders.md uses it, so no scene here does.
+PIXELS = 4000  # pixels of each stack that are stored
+EXPOSURES = ((1.0,), (1.0, 4.0), (0.25, 1.0, 4.0))
+FOLDS = 3
+WITHOUT_RIG = 0.1  # Share of the pixels that are given once more without the cues of a rig.
+TREES: Mapping[str, Any] = {
+    "max_iter": 160,
+    "learning_rate": 0.1,
+    "max_leaf_nodes": 24,
+    "min_samples_leaf": 200,
+    "l2_regularization": 1.0,
+    "random_state": 0,
+}
+OF_RIG = [j for j, name in enumerate(NAMES) if "epipolar" in name or name == "sigma of depth"]
+
+
+# --- scenes ------------------------------------------------------------------------------------
+
+
+def random_material(rng: np.random.Generator) -> Material:
+    """Return metal, plastic, a matt or a dark surface; metal in three of five cases."""
+    kind = str(rng.choice(["metal", "plastic", "matt", "dark"], p=[0.6, 0.2, 0.1, 0.1]))
+    grey = float(rng.uniform(0.02, 0.1) if kind == "dark" else rng.uniform(0.2, 0.85))
+    color = (grey, grey, grey)
+    if kind == "matt":
+        return Material(base_color=color, specular=0.0)
+    low, high = {"metal": (0.1, 0.6), "plastic": (0.2, 0.6), "dark": (0.3, 0.7)}[kind]
+    roughness = float(rng.uniform(low, high))
+    return Material(base_color=color, roughness=roughness, metallic=float(kind == "metal"))
+
+
+def random_heap(scene: Scene, rng: np.random.Generator, *, seed: int) -> tuple[Scene, Layout]:
+    """Return a bin of random size and material with a heap of one to three kinds of parts."""
+    names = [name for name in ZOO if name != JUDGED_PART]
+    kinds = [str(rng.choice(names)) for _ in range(int(rng.integers(1, 4)))]
+    materials = [random_material(rng) for _ in kinds]
+    if rng.random() < 0.5:  # Heaps of one kind of metal have most light from other surfaces.
+        materials = materials[:1] * len(kinds)
+    parts = tuple(
+        replace(zoo_part(kind), name=f"{kind}-{k}", material=material)
+        for k, (kind, material) in enumerate(zip(kinds, materials, strict=True))
+    )
+    box = bin_of(scene)
+    x, y, z = (float(side) for side in box.inner_m * rng.uniform(0.75, 1.3, 3))
+    box = replace(box, inner_m=(x, y, z))
+    if rng.random() < 0.6:
+        box = replace(box, material=random_material(rng))
+    scene = replace(scene, parts=parts, bin=box)
+    count = max(1, int(rng.integers(10, 36)) // len(parts))
+    return scene, drop(scene, (count,) * len(parts), seed=seed, limits=DropLimits())
+
+
+def scanners(own: Scanner, rng: np.random.Generator, codecs: Sequence[Codec]) -> list[Scanner]:
+    """Return a rig's preset and scanners with other codes, on one axis or two."""
+    others = []
+    for codec in codecs:
+        axes = AXES if rng.random() < 0.6 else AXES[:1]
+        factors = EXPOSURES[int(rng.integers(len(EXPOSURES)))]
+        exposure = replace(own.exposure, factors=factors)
+        others.append(replace(own, code=CodeSpec(codec=codec, axes=axes), exposure=exposure))
+    return [bare(scanner) for scanner in (own, *others)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pixels:
+    """Cues of pixels, and which of their depths are wrong."""
+
+    cues: Float32[np.ndarray, "n cues"]
+    wrong: Bool[np.ndarray, " n"]
+
+
+def simulated(number: int, renderer: Renderer) -> Pixels:
+    """Simulate one scene with all its scanners, and return random pixels that have depth."""
+    rng = np.random.default_rng([number, 77])
+    low = number in LOW
+    rig = RIGS[number % len(RIGS)]
+    cell = cell_of({"rig": rig, "resolution": "low" if low else "small"})
+    scene, layout = random_heap(cell.scene, rng, seed=number)
+    codecs = [CODECS[k] for k in rng.permutation(len(CODECS))[:2]] if low else CODECS
+    several = scanners(cell.scanner, rng, codecs)
+    keys, patterns = shared_patterns(several)
+    quality = Quality(samples=32 if low else 64)
+    rendering = renderer.render(scene, layout, patterns, quality=quality, seed=number)
+    of_stacks = []
+    for scanner in several:
+        capture, light = pictures_of(scanner, rendering.radiance, keys, seed=number)
+        cues, depth = evidence_of(scanner, capture, light)
+        true_m = rendering.truth.depth_m
+        known = np.flatnonzero(np.isfinite(depth.depth_m) & np.isfinite(true_m))
+        own = rng.choice(known, min(PIXELS, len(known)), replace=False)
+        wrong = depth.is_wrong(true_m).ravel()[own]
+        of_stacks.append((cues.reshape(len(cues), -1)[:, own].T, wrong))
+    cues, wrong = (np.concatenate(each) for each in zip(*of_stacks, strict=True))
+    return Pixels(cues=cues, wrong=wrong)
+
+
+def evidence_of(
+    scanner: Scanner, capture: Capture, light: Radiance
+) -> tuple[Float32[np.ndarray, "cues h w"], DepthMap]:
+    """Return the cues of a stack's depths, and the depths with all terms of their sigma."""
+    codes, first = decode_capture(scanner, capture, path_noise=light.path_noise)
+    levels = levels_of(scanner.sensor)
+    cues = cues_of(capture.frames, scanner.light_code(), levels, codes, first, scanner.rig)
+    return cues, measure(scanner, capture, path_noise=light.path_noise)[1]
+
+
+def simulate(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    with open_renderer("mitsuba") as renderer:
+        for number in (*SMALL, *LOW):
+            file = folder / f"{number:03d}.npz"
+            if not file.exists():
+                pixels = simulated(number, renderer)
+                np.savez(file, names=NAMES, cues=pixels.cues, wrong=pixels.wrong)
+                print(f"{file}: {len(pixels.wrong)} pixels, {pixels.wrong.mean():.1%} wrong")
+
+
+def stored(folder: Path) -> Iterator[Pixels]:
+    """Yield the pixels of each scene.
+
+    Raises:
+        SystemExit: a file lacks a cue.
+    """
+    for file in sorted(folder.glob("*.npz")):
+        with np.load(file) as content:
+            names = list(content["names"])
+            if lacking := set(NAMES) - set(names):
+                raise SystemExit(f"{file} has no {min(lacking)}: remove it and simulate again")
+            own = [names.index(name) for name in NAMES]
+            yield Pixels(cues=content["cues"][:, own], wrong=content["wrong"])
+
+
+# --- table -------------------------------------------------------------------------------------
+
+
+def fitted(scenes: Sequence[Pixels]) -> HistGradientBoostingClassifier:
+    """Fit trees to the pixels of scenes, some of them once more without the cues of a rig."""
+    cues = np.concatenate([scene.cues for scene in scenes])
+    wrong = np.concatenate([scene.wrong for scene in scenes])
+    rng = np.random.default_rng(0)
+    again = rng.random(len(cues)) < WITHOUT_RIG
+    without = cues[again]
+    without[:, OF_RIG] = np.nan
+    cues, wrong = np.concatenate([cues, without]), np.concatenate([wrong, wrong[again]])
+    trees = HistGradientBoostingClassifier(monotonic_cst=[cue.sense for cue in CUES], **TREES)
+    return trees.fit(cues, wrong)
+
+
+def left_out(scenes: Sequence[Pixels]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the probabilities for each scene from a fit without it and others, and the truth."""
+    for fold in range(FOLDS):
+        trees = fitted([s for k, s in enumerate(scenes) if k % FOLDS != fold])
+        for scene in scenes[fold::FOLDS]:
+            yield trees.predict_proba(scene.cues)[:, 1], scene.wrong
+
+
+def table_of(
+    trees: HistGradientBoostingClassifier, scenes: Sequence[Pixels]
+) -> dict[str, Float[np.ndarray, "..."]]:
+    """Return the arrays of `wrong.Evidence`; the first tree is one leaf, with the mean log odds."""
+    nodes = [tree[0].nodes for tree in trees._predictors]
+    start = 1 + np.cumsum([0, *(len(each) for each in nodes[:-1])])
+    shifts = np.repeat(start, [len(each) for each in nodes])
+    every = np.concatenate(nodes)
+    leaf = every["is_leaf"].astype(bool)
+    right = np.concatenate([scene.cues[~scene.wrong] for scene in scenes])
+
+    def after_root(values: np.ndarray, of_root: Any) -> np.ndarray:
+        return np.concatenate([np.array([of_root], dtype=values.dtype), values])
+
+    return {
+        "start": np.array([0, *start], dtype=np.int32),
+        "cue": after_root(np.where(leaf, -1, every["feature_idx"]).astype(np.int16), -1),
+        "limit": after_root(every["num_threshold"].astype(np.float32), 0),
+        "lacking": after_root(every["missing_go_to_left"].astype(bool), False),
+        "low": after_root((every["left"] + shifts).astype(np.int32), 0),
+        "high": after_root((every["right"] + shifts).astype(np.int32), 0),
+        "log_odds": after_root(
+            np.where(leaf, every["value"], 0).astype(np.float32),
+            float(np.ravel(trees._baseline_prediction)[0]),
+        ),
+        "typical": np.nanmedian(right, axis=0).astype(np.float32),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("step", choices=("scenes", "table"), help="Simulate, or fit the table.")
+    parser.add_argument("folder", type=Path, help="The folder of the simulated pixels.")
+    arguments = parser.parse_args()
+    if arguments.step == "scenes":
+        simulate(arguments.folder)
+        return
+    scenes = list(stored(arguments.folder))
+    p_wrong, wrong = (np.concatenate(each) for each in zip(*left_out(scenes), strict=True))
+    print(f"{len(scenes)} scenes, {len(wrong)} pixels, {wrong.mean():.2%} wrong")
+    print(f"left out: area under the ROC {roc_auc_score(wrong, p_wrong):.4f}")
+    few = p_wrong <= 0.01
+    print(f"p_wrong <= 0.01: {(few & ~wrong).sum() / (~wrong).sum():.1%} of the right depths,")
+    print(f"{wrong[few].mean():.2%} of these depths wrong")
+    table = table_of(fitted(scenes), scenes)
+    target = Path(__file__).resolve().parents[1] / "src/graycast/camera/decode/evidence" / TABLE
+    with target.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, names=np.array(NAMES), **table)
+    print(f"{target}: {len(table['start'])} trees, {target.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

@@ -25,7 +25,7 @@ from ..rendering.radiance import Silhouette
 from ..rig.optics import Optics
 from .coco import add_images, run_lengths, scene_annotation, scene_coco, scene_image
 from .json_text import json_bytes
-from .picture_bytes import depth_steps, mask_png, modulation_steps, png
+from .picture_bytes import depth_steps, mask_png, modulation_steps, png, probability_steps
 from .raw import raw_facts, raw_files
 from .records import MM_PER_M
 from .sample import Sample, labelled
@@ -153,6 +153,8 @@ def _image_files(
     yield place("depth_sl"), png(scanned)
     yield place("reason_sl"), png(sample.scanner_depth.reason)
     yield place("modulation_sl"), png(modulation)
+    if sample.scanner_depth.p_wrong is not None:
+        yield place("pwrong_sl"), png(probability_steps(sample.scanner_depth.p_wrong))
     for i, instance in enumerate(silhouettes):
         amodal = mask_png(instance.inside, camera.height_px, camera.width_px)
         visible = mask_png(instance.visible, camera.height_px, camera.width_px)

@@ -176,6 +176,15 @@ def known_depth(value: np.ndarray) -> Bool[np.ndarray, "..."]:
     return np.isfinite(value) & (value != 0) & (np.abs(value) != np.finfo(value.dtype).max)
 
 
+LEAST_LOG_P, P_STEPS = -4, 254  # The logarithm of the lowest stored probability, and its steps.
+
+
+def probabilities(steps: UInt8[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Return the probabilities of a `pwrong_sl` picture; NaN for step 0."""
+    exponent = LEAST_LOG_P * (255.0 - steps) / P_STEPS
+    return np.where(steps > 0, 10**exponent, np.nan).astype(np.float32)
+
+
 def metres(steps: UInt16[np.ndarray, "h w"], scale_mm: float) -> Float32[np.ndarray, "h w"]:
     """Return a depth picture in metres; NaN where it holds no distance (see `known_depth`)."""
     depth_m = steps.astype(np.float64) * (scale_mm / MM_PER_M)

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, UInt8, UInt16
 
 from ..base.errors import DatasetError
 from ..rendering.radiance import Silhouette
+from .example import LEAST_LOG_P, P_STEPS
 from .records import MM_PER_M
 
 _PNG_LEVEL = 2  # Higher levels take twice the time and save a hundredth of the size.
@@ -66,6 +67,17 @@ def modulation_steps(
     value = np.nan_to_num(modulation.astype(np.float64), nan=0.0).clip(min=0.0)
     scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / _STEP_MAX))
     return np.rint(value / scale).astype(np.uint16), scale
+
+
+def probability_steps(p_wrong: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    """Return 8-bit steps of the logarithm of a probability; 0 if it is unknown.
+
+    Step 255 is 1, and each step less is a factor of 10^(4/254), down to 1e-4 or less at step 1.
+    """
+    known = np.isfinite(p_wrong)
+    exponent = np.log10(np.where(known, p_wrong, 1).clip(10**LEAST_LOG_P, 1))
+    steps = 255 - np.rint(P_STEPS * exponent / LEAST_LOG_P)
+    return np.where(known, steps, 0).astype(np.uint8)
 
 
 def png(image: UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]) -> bytes:

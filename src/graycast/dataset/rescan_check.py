@@ -16,7 +16,15 @@ from .example import known_depth
 from .places import CLAIM
 from .rescanned import RECORDS, ImageRecord, RescanClaim, changes, image_records, original_sums
 from .safe_reading import Unreadable, read_json, record_as
-from .scene_folder import OWN_PICTURES, SCANNER, AnyPose, SceneFolder, dead_links, scene_folders
+from .scene_folder import (
+    OWN_PICTURES,
+    SCANNER,
+    AnyPose,
+    SceneFolder,
+    dead_links,
+    own_form,
+    scene_folders,
+)
 from .seal import sum_problems
 
 _COCO, _POSES = "scene_gt_coco_sl", "scene_gt_sl"
@@ -129,15 +137,19 @@ def _image_problems(
 ) -> Iterator[str]:
     entries = record.entries
     names = [name for name in OWN_PICTURES if name.endswith(SCANNER)]
+    names += scene.optional_pictures()
     image = {name: scene.png(name, number) for name in names}
     size = image["reason_sl"].shape
     for name in names:
-        if image[name].shape != size or image[name].dtype != OWN_PICTURES[name]:
+        if image[name].shape != size or image[name].dtype != own_form(name, size)[1]:
             yield f"{name} is {image[name].shape} {image[name].dtype}, reason_sl is {size}"
             return
     depth, reason = image["depth_sl"], image["reason_sl"]
     if wrong := int(((depth > 0) != (reason == Reason.DECODED)).sum()):
         yield f"depth_sl and reason_sl disagree in {wrong} pixels on whether there is a depth"
+    for name in scene.optional_pictures():
+        if wrong := int(((depth > 0) != (image[name] > 0)).sum()):
+            yield f"depth_sl and {name} disagree in {wrong} pixels on whether there is a depth"
     if entries["scene_camera_sl"]["depth_scale"] != claim.depth_scale_mm:
         yield f"its depth_scale is not {CLAIM}'s {claim.depth_scale_mm}"
     yield from _mask_problems(scene, number, entries, depth)

@@ -133,7 +133,9 @@ def _read_image(
         number=number,
         numbers=numbers,
         first_annotation=dict(first_annotation),
-        image={name: files.png(name, number) for name in OWN_PICTURES},
+        image={
+            name: files.png(name, number) for name in (*OWN_PICTURES, *files.optional_pictures())
+        },
         view=view[""],
         poses=poses[""],
         info=info,
@@ -216,3 +218,7 @@ def _scanner_problems(scene: Plain) -> Iterator[str]:
     wrong = int(((depth > 0) != (reason == Reason.DECODED)).sum())
     if wrong:
         yield f"depth_sl and reason_sl disagree in {wrong} pixels on whether there is a depth"
+    if "pwrong_sl" in scene.image:
+        wrong = int(((depth > 0) != (scene.image["pwrong_sl"] > 0)).sum())
+        if wrong:
+            yield f"depth_sl and pwrong_sl disagree in {wrong} pixels on whether there is a depth"

@@ -30,6 +30,7 @@ OWN_PICTURES = {
     "reason_sl": np.uint8,
     "modulation_sl": np.uint16,
 }
+OWN_OPTIONS = {"pwrong_sl": np.uint8}  # Pictures that scenes have if the scanner estimates them.
 
 R = TypeVar("R")
 
@@ -76,7 +77,7 @@ def picture_name(kind: str, number: int, sensor: str = "") -> str:
 
 def own_form(kind: str, size_px: tuple[int, int]) -> tuple[tuple[int, ...], type]:
     """Return the shape and type of a picture in our datasets; only `rgb` has three channels."""
-    return (*size_px, 3)[: 3 if kind == "rgb" else 2], OWN_PICTURES[kind]
+    return (*size_px, 3)[: 3 if kind == "rgb" else 2], (OWN_PICTURES | OWN_OPTIONS)[kind]
 
 
 @final
@@ -134,6 +135,10 @@ class SceneFolder:
         """Return a picture of any format as stored, colours in OpenCV's order; None if missing."""
         path = self.find_picture(kind, number)
         return None if path is None else read_picture(path)
+
+    def optional_pictures(self) -> tuple[str, ...]:
+        """Return the kinds of `OWN_OPTIONS` that the scene has."""
+        return tuple(kind for kind in OWN_OPTIONS if self._of(kind).is_dir())
 
     def png_path(self, kind: str, number: int = 0) -> Path:
         return self._of(kind) / f"{number:06d}.png"

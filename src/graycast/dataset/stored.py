@@ -15,7 +15,7 @@ from pycocotools import mask as coco_mask
 from ..base.array_types import Bool, Float32, UInt8
 from ..base.errors import DatasetError
 from . import records
-from .example import Example, InstanceLabel, label_arrays, metres
+from .example import Example, InstanceLabel, label_arrays, metres, probabilities
 from .places import CLAIM, SPLITS, camera_file, finished_scenes
 from .real import RealClaim, read_claim
 from .safe_reading import Unreadable, read_json
@@ -116,6 +116,15 @@ class StoredScene:
     def depth_m(self, name: str) -> Float32[np.ndarray, "h w"]:
         """Return z [m] of `depth` or `depth_sl`; NaN where it is missing."""
         return metres(self.picture(name), self.view().depth_scale)
+
+    def p_wrong(self) -> Float32[np.ndarray, "h w"] | None:
+        """Return the probability that each depth of the scanner is wrong; NaN without depth.
+
+        The result is None if the scanner did not estimate it.
+        """
+        if "pwrong_sl" not in self._files.optional_pictures():
+            return None
+        return probabilities(self.picture("pwrong_sl"))
 
     def masks(self, name: str) -> Iterator[Bool[np.ndarray, "h w"]]:
         """Yield all masks of `mask` or `mask_visib`, including those of hidden instances."""

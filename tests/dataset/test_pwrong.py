@@ -1,0 +1,66 @@
+"""The stored probability that a depth is wrong: its steps, its file, and its check."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from graycast.dataset.checking import validate
+from graycast.dataset.example import probabilities
+from graycast.dataset.picture_bytes import probability_steps
+from graycast.dataset.stored import open_dataset
+
+
+def test_steps_are_logarithmic_from_one_to_a_ten_thousandth():
+    p_wrong = np.array([[1, 0.01, 1e-4], [1e-6, 0, np.nan]], dtype=np.float32)
+    assert probability_steps(p_wrong).tolist() == [[255, 128, 1], [1, 1, 0]]
+
+
+def test_a_probability_comes_back_within_half_a_step():
+    p_wrong = np.geomspace(1e-4, 1, 1001, dtype=np.float32)[None]
+    back = probabilities(probability_steps(p_wrong))
+    half_step = 10 ** (2 / 254)
+    assert (np.abs(np.log(back / p_wrong)) <= np.log(half_step) + 1e-5).all()
+    assert np.isnan(probabilities(np.zeros((1, 1), np.uint8))).all()
+
+
+def random_probabilities(scene_id, depth_m):
+    p_wrong = np.random.default_rng(scene_id).uniform(1e-4, 1, depth_m.shape)
+    return np.where(np.isfinite(depth_m), p_wrong, np.nan).astype(np.float32)
+
+
+def write(out, opened, samples, p_wrong):
+    """Write a dataset with the given maps of probabilities, by scene."""
+    with opened(out) as store:
+        for scene_id, sample in samples.items():
+            scanner_depth = replace(sample.scanner_depth, p_wrong=p_wrong[scene_id])
+            store.write(scene_id, [replace(sample, scanner_depth=scanner_depth)])
+        store.finish(samples)
+
+
+def test_a_dataset_stores_the_probability_of_each_depth(tmp_path, opened, samples):
+    p_wrong = {i: random_probabilities(i, s.scanner_depth.depth_m) for i, s in samples.items()}
+    out = tmp_path / "out"
+    write(out, opened, samples, p_wrong)
+    assert validate(out) == ()
+    for scene in open_dataset(out).scenes:
+        expected = p_wrong[scene.scene_id]
+        stored = scene.p_wrong()
+        assert np.array_equal(np.isnan(stored), np.isnan(expected))
+        known = np.isfinite(expected)
+        assert np.abs(np.log(stored[known] / expected[known])).max() < 0.0182
+
+
+def test_a_dataset_without_probabilities_is_valid_and_has_none(dataset):
+    assert validate(dataset) == ()
+    assert not (dataset / "train/000000/pwrong_sl").exists()
+    assert open_dataset(dataset).scenes[0].p_wrong() is None
+
+
+def test_a_probability_without_depth_is_a_problem(tmp_path, opened, samples):
+    p_wrong = {i: random_probabilities(i, s.scanner_depth.depth_m) for i, s in samples.items()}
+    hole = np.argwhere(np.isnan(p_wrong[0]))[0]
+    p_wrong[0][tuple(hole)] = 0.5
+    write(tmp_path / "out", opened, samples, p_wrong)
+    problems = [str(problem) for problem in validate(tmp_path / "out")]
+    assert len(problems) == 1
+    assert "depth_sl and pwrong_sl disagree in 1 pixels" in problems[0]

@@ -89,11 +89,10 @@ def jaw_load_factor(
 ) -> Float[np.ndarray, " k"]:
     """Return the safety factor of a load between two pads with friction; below 1 the part slips.
 
-    Perpendicular to the pads' axis, both pads together resist a force of 2 mu F (mu: friction, F:
-    force of each pad). About this axis, they resist the moment of two discs with uniform pressure,
-    2 mu F (2/3 r). The normal forces of the pads resist moments about the other axes. These moments
-    are not checked, because fingers are stiff compared with a part's weight. The drive resists
-    forces along the axis.
+    Across the pads' axis, both pads together resist a force of 2 mu F (mu: friction, F: force of
+    each pad). About this axis, they resist the moment of two discs with uniform pressure,
+    2 mu F (2/3 r). Moments about other axes are not checked: the pads' normal forces resist them,
+    because fingers are stiff compared with a part's weight. The drive resists axial forces.
 
     Args:
         force_n: the force on the part, in the tool's frame.

@@ -44,8 +44,7 @@ def scan(
 ) -> BinScan:
     """Scan the parts at their poses; depth that cannot be decoded is NaN.
 
-    If the robot needs neither measured depth nor a colour picture, the scene is rendered with one
-    sample per pixel, which suffices for the recorded picture.
+    Without measured depth and a trained detector, one sample per pixel suffices for the picture.
 
     Raises:
         ValueError: the picture is dark, or a value is out of its range.

@@ -20,10 +20,9 @@ TABU_M = 0.015  # No grip this near to a failed grip is tried before a part near
 BLOCKED_M = 0.04  # Grips this near to an unreachable grip are tried last.
 ALIKE_M = 0.008  # Of several similar grips within this distance, only one is planned.
 LEAST_UP_M = 0.02
-# assumed distance between the centre of an unknown part's visible surface and its centre of mass
+# standard deviation of an unknown part's centre of mass from its visible middle, along each axis
 UNKNOWN_CENTER_M = 0.01
-# If more than this share of the measured surface under the tool deviates by more than this
-# distance from the part's surface, then it belongs to another part.
+# A larger deviation from the part's surface, on a larger share of the area, is another part.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 _MISSING = (
     "no detection",

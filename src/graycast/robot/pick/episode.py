@@ -1,4 +1,4 @@
-"""One bin, which is filled by a drop and emptied by the robot until no part or no hope is left.
+"""One bin, which is filled by a drop and emptied until it is empty or too many grips fail.
 
 The physics of the drop continues: each part is lifted from among its neighbours, and the other
 parts come to rest again before the next scan. After a failed grip, the part stays at its place
@@ -38,10 +38,9 @@ AXIS_M = 0.05
 class Episode:
     """The record of one emptied bin.
 
-    `filled` is the number of parts at the start, `taken` the number of parts that the tool took
-    out, and `left` the number of parts in the bin at the end; all others fell outside. `pictures`
-    (RGB) and `depths_m` (the depth that the robot used) have an entry for each attempt. `kinds` has
-    each part's index among the cell's parts.
+    `filled`, `taken` and `left` are the numbers of parts at the start, taken out by the tool, and
+    in the bin at the end; all others fell outside. `pictures` (RGB) and `depths_m` (used by the
+    robot) have an entry for each attempt. `kinds` has each part's index among the cell's parts.
     """
 
     bin_id: int

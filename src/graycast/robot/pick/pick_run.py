@@ -81,8 +81,7 @@ def pick(
     Args:
         out: the folder of picks. It is created, or continued if it has the same cell and seed.
         device: device of the renderer.
-        on_result: function that receives each result, as in `generate`.
-        on_failed: function that receives each failed attempt at a bin, with the reason.
+        on_result, on_failed: functions that receive each result, and each failed attempt at a bin.
         on_failed: receives each failed attempt at a bin, with the reason.
 
     Returns:

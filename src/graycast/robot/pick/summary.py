@@ -111,8 +111,7 @@ class Paired:
     """Comparison of two runs over the same bins; attempts are paired in their order.
 
     The first attempts in a bin have the same heap. Later heaps are similar, but they depend on what
-    each run has taken. `p` is the p-value of McNemar's test. Each pair consists of two attempts in
-    which the arm moved.
+    each run has taken. A pair is two attempts in which the arm moved; `p` is McNemar's p-value.
     """
 
     pairs: int

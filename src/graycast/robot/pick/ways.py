@@ -23,9 +23,8 @@ class Ways:
     """The five parts of a path: `to` the approach, `down` to the grip, `off`, `up` and `away`.
 
     `off` is short and slow, because a fast tool would jerk the part when it takes over the weight.
-    A leaning tool becomes upright at the end of `up`. If the arm cannot reach the height of this
-    end with a leaning tool, the tool becomes upright during `up`. A heavy part would break the seal
-    of a leaning cup.
+    A leaning tool becomes upright at the end of `up`, or during `up` if the arm cannot reach that
+    height with a leaning tool, because a heavy part would break the seal of a leaning cup.
     """
 
     to: Trajectory

@@ -77,9 +77,8 @@ def find_pose(
 ) -> PoseMatch:
     """Find the pose of a part whose visible outline is known.
 
-    If the symmetry that was given to `pose_model` makes several poses equivalent, the result is the
-    pose nearest to `near`. Without `near`, it is the standard pose
-    (`world.parts.symmetry.nearest_member`).
+    If the symmetry given to `pose_model` makes several poses equivalent, return the pose nearest to
+    `near`, or without `near` the standard pose (`world.parts.symmetry.nearest_member`).
 
     Args:
         depth_m: z [m], NaN where the scanner measured nothing.

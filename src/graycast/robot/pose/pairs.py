@@ -1,9 +1,8 @@
 """Point-pair features: a table of a part's pairs of points, and votes from pairs in the scene.
 
 The feature of two points with normals consists of their distance and three angles, which no rigid
-motion changes. A reference point of the scene forms pairs with the other points. Each pair votes
-for all model pairs with the same feature: for the model's reference point, and for the rotation
-about its normal.
+motion changes. Each pair of a scene's reference point and another point votes for all model pairs
+with the same feature: for their reference points, and for the rotation about the normal.
 
 Source: B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match locally: efficient and
 robust 3D object recognition", CVPR 2010. If many model pairs have the same feature, each of their

@@ -185,8 +185,7 @@ def run_design(
     Args:
         out: folder of the study; a study can be resumed there, even with more settings or heaps.
         device: device of the renderer.
-        on_result, on_failed: functions that receive the name and heap of `DesignTask.name`, and
-            the result or the failure.
+        on_result, on_failed: functions that receive the name and heap from `DesignTask.name`.
 
     Returns:
         Names and heaps of the renderings that failed, as `NAME/HEAP`.

@@ -2,10 +2,9 @@
 
 Within a scene and a class, detections choose in descending order of their scores. Each takes the
 free instance that it overlaps most, if the overlap reaches the threshold. Instances that count take
-precedence over ignored instances. Several detections can take the same ignored instance. The rule
-is that of pycocotools 2.0 (`COCOeval.evaluateImg`), which is slow. faster-coco-eval 1.8 has no
-`Group`, returns matches only at its lowest threshold, and needs 4 to 8 s for 1000 draws (here
-0.2 s).
+precedence over ignored instances, which several detections can take. The rule is that of
+pycocotools 2.0 (`COCOeval.evaluateImg`), which is slow. faster-coco-eval 1.8 has no `Group`,
+returns matches only at its lowest threshold, and needs 4 to 8 s for 1000 draws (here 0.2 s).
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -83,12 +83,11 @@ def vsd(
 ) -> Float[np.ndarray, " t"]:
     """Return the visible surface discrepancy, 0 to 1, for each tolerance.
 
-    The three maps contain distances from the camera's centre to a surface, not z; NaN for no
-    surface. A surface is visible in a pixel if it is at most `DELTA_M` behind the measured surface,
-    or if nothing was measured. The estimate also counts as visible where the true surface is
-    visible. VSD is the share of wrong pixels among those in which a surface is visible. In a wrong
-    pixel, only one surface is visible, or the distances differ by at least the tolerance. VSD is 1
-    if no surface is visible.
+    The three maps contain distances from the camera's centre to a surface, not z; NaN for none. A
+    surface is visible in a pixel if it is at most `DELTA_M` behind the measured surface, or if
+    nothing was measured. The estimate also counts as visible where the true surface is visible. VSD
+    is the share of wrong pixels among those with a visible surface: only one surface is visible, or
+    the distances differ by at least the tolerance. VSD is 1 if no surface is visible.
     """
     visible = _visible(true_m, measured_m)
     mine = _visible(estimate_m, measured_m) | (visible & np.isfinite(estimate_m))

@@ -20,8 +20,7 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     middle = share + spread / 2
     half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of))
     low, high = (middle - half) / (1 + spread), (middle + half) / (1 + spread)
-    # The end of the interval is exact if all or no trials succeed; rounding would exclude the
-    # share.
+    # With all or no hits, one end is exact; a rounding error would exclude the rate itself.
     return low if hits else 0.0, high if hits < of else 1.0
 
 

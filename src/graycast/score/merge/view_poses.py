@@ -224,9 +224,8 @@ def _least_squares(
 ) -> Float[np.ndarray, "6"]:
     """Return a Cauchy-weighted least-squares solution in the directions that points determine.
 
-    A direction is determined if its standard deviation is below `determined_m`. The caller begins
-    with a wide kernel, because a sideways shift is visible only on slopes. With a narrow kernel,
-    slopes would be outliers next to a flat floor.
+    A direction is determined to a standard deviation of `determined_m`. The caller begins with a
+    wide kernel: a sideways shift shows only on slopes, which are outliers next to a flat floor.
     """
     spread_m = float(robust_sigma(offset_m - np.median(offset_m)))
     noise_m2 = np.maximum(variance_m2, spread_m**2)

@@ -65,8 +65,8 @@ def test_only_surfaces_in_the_shadow_of_a_wall_are_not_measured(mitsuba_renderer
 
 @pytest.mark.slow
 def test_the_smallest_feature_is_resolved_and_a_third_of_its_size_is_not(mitsuba_renderer):
-    """A cube is resolved if depth is more than 3 sigma above the plate at 4 pixels or more, since at
-    least 4 pixels are entirely inside its top. A third of the side covers at most one pixel."""
+    """A cube is resolved if at least 4 pixels are more than 3 sigma above the plate: 4 pixels are
+    entirely inside its top. A third of the side covers at most one pixel."""
     height_m = 0.6
     rig = make_rig(centred(320, 240, 400), centred(800, 600, 700), baseline_m=(0.1, 0, 0))
     bare = plate_in_bin(rig, (-0.05, 0.0, THICK_M + height_m), rim_m=0.0065)

@@ -75,7 +75,7 @@ def test_detections_of_ignored_instances_are_neither_required_nor_mistakes():
 
 
 def test_a_detection_inside_an_ignored_crowd_is_no_mistake():
-    """By COCO's crowd rule, the detection fits: it covers 1/4 of the instance from inside."""
+    """COCO's crowd rule: the detection covers 1/4 of the instance, but is completely inside it."""
     labels = squares(0, [(0, 0), (20, 0)], visible=[0.05, 1], side=8)
     small = detected_squares(0, [(0, 0)], [0.99], side=4)
     good = detected_squares(0, [(20, 0)], [0.9])

@@ -29,7 +29,7 @@ PROBES = 3000  # number of points on the part's surface; none of them may be ins
 class Jaws:
     """Two parallel fingers that close along the tool's x; z points from the tips to the palm.
 
-    The origin of a grip's frame is midway between the pads.
+    The origin of a grip's frame is the middle between both pads.
     """
 
     opening_m: Annotated[

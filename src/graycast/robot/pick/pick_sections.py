@@ -13,7 +13,7 @@ from .tools import AnyTool
 
 
 class RobotSection(Settings):
-    """Settings of the arm and of its base's position."""
+    """Settings of the arm and of the position of its base."""
 
     arm: str = Field(
         default="ur5e",

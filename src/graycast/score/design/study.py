@@ -66,7 +66,7 @@ class SweepSection(Settings):
 
 
 class NeedsSection(Settings):
-    """Limits that a setting must meet to be recommended."""
+    """Limits that a setting must meet to be chosen."""
 
     sigma_m: Positive | None = Field(
         default=None, description="The largest standard deviation of depth, in metres."

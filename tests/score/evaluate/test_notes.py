@@ -40,7 +40,7 @@ def test_the_range_of_ap_covers_all_orders_of_equal_scores():
     assert high - low > 0.3
 
 
-def test_equal_scores_that_move_ap_are_noted():
+def test_equal_scores_that_change_ap_cause_a_note():
     (note,) = notes_of([*PLACES, *WRONG], np.ones(6))
     assert "all scores are equal" in note and "it is 1.000" in note and "0.667 to 1.000" in note
     (note,) = notes_of([*PLACES, *WRONG], [0.9, 0.8, 0.7, 0.7, 0.7, 0.6])

@@ -30,7 +30,7 @@ def block(size_m, *, name="block", density_kg_m3=2000.0, material=None, symmetry
 
 
 def cut_corner(part):
-    """Return the tetrahedron at a block's lowest corner; without symmetry, it hides no sign error."""
+    """Return the tetrahedron at a block's lowest corner, whose asymmetry reveals sign errors."""
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     return replace(part, mesh=Mesh(vertices_m=part.mesh.vertices_m[[0, 1, 2, 4]], faces=faces))
 

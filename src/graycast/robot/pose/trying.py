@@ -18,7 +18,7 @@ TOLERANCE_SIGMAS = 3.5  # tolerance as a multiple of the noise, if that is large
 # leave. The last gate is 1.5 times the limit for a visible pixel.
 GATES = (6.0, 5.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
 EDGE = 3.0  # At a part's outline, depth increases by more than this many tolerances.
-LEAST_PIXELS = 30  # number of measured pixels on the part that another orientation needs
+LEAST_PIXELS = 30  # minimum number of measured pixels on the part in another orientation
 
 
 @final

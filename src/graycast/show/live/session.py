@@ -307,9 +307,9 @@ class Session:
         self._on_message(message)
 
     def _ended(self, by: str) -> None:
-        """Report that the process ended without `stop`, and start a new process.
+        """Report that the process ended without `stop`, and start a new one where that can help.
 
-        If the old process had not finished a picture, a new process would end in the same way.
+        If the old process never finished a picture, a new one would end likewise: none is started.
         """
         with self._lock:
             if self._maker is None:  # `pause` was called first.

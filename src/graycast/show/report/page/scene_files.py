@@ -199,7 +199,7 @@ def _instances(scene: SceneContent) -> list[dict[str, Any]]:
 
 
 def _reason_thumb(scene: SceneContent) -> bytes:
-    """Return a thumbnail of reasons by subsampling, since averaged colours could mean others."""
+    """Return a subsampled thumbnail of reasons; a mean colour could mean another reason."""
     stride = max(-(-scene.reason.shape[1] // THUMB_PX), 1)
     names = {**scene.reason_name, NO_REASON: "missing"}
     colors = {number: REASON_COLOR.get(name, MISSING_COLOR) for number, name in names.items()}

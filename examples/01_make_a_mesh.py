@@ -1,4 +1,4 @@
-"""Makes the mesh of configs/own_part.yaml: an aluminium plate with two bores and a slot.
+"""Make the mesh of configs/own_part.yaml: an aluminium plate with two bores and a slot.
 
 Run: .venv/bin/python examples/01_make_a_mesh.py out/plate.stl
 """
@@ -13,7 +13,7 @@ SEGMENTS = 64
 
 
 def plate() -> trimesh.Trimesh:
-    """An 80 x 45 x 12 mm plate, its length unit the millimetre."""
+    """Return a plate of 80 x 45 x 12 mm; the unit of length is the millimetre."""
     outline = CrossSection.square((70, 35), center=True).offset(5)
     bore = CrossSection.circle(7, SEGMENTS)
     slot = CrossSection.batch_hull([bore.scale((0.6, 0.6)).translate((x, 0)) for x in (-8, 8)])

@@ -1,4 +1,4 @@
-"""One scene from Python, without files: drop, render, expose, decode, and compare with the truth.
+"""Make a scene in Python without files: drop, render, expose, decode, compare with the truth.
 
 Run: .venv/bin/python examples/02_one_scene.py
 """

@@ -1,6 +1,6 @@
-"""Codes under interreflections in a white bowl: a table and a picture of their errors.
+"""Compare codes under interreflections in a white bowl, with a table and a picture of errors.
 
-The decoder accepts uncertain pixels here, so that wrong values show.
+The decoder accepts uncertain pixels in this example, so that wrong values are visible.
 
 Run: .venv/bin/python examples/03_codes_in_a_bowl.py out/codes.png
 """
@@ -28,7 +28,7 @@ RADIUS_M, WALL_M, ALBEDO = 0.09, 0.006, 0.95
 
 
 def bowl() -> Part:
-    """Half a hollow ball, open at the top, white and matt."""
+    """Return half of a hollow ball, open at the top, white and matt."""
     angle = np.linspace(0.02, np.pi / 2, 60)
     outer = (RADIUS_M + WALL_M) * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
     inner = RADIUS_M * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)[::-1]

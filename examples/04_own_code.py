@@ -1,7 +1,7 @@
-"""A code of the user: any list of frames. This one has eleven, and is compared with the truth.
+"""Define your own code, which is any list of frames, and compare its depth with the truth.
 
-Gray bits count periods of 60 projector columns, a complementary bit distinguishes their halves, and
-three phase steps give the place inside a period.
+This code has eleven frames. Gray bits count periods of 60 projector columns, a complementary bit
+distinguishes the halves of a period, and three phase steps give the position inside a period.
 
 Run: .venv/bin/python examples/04_own_code.py
 """
@@ -17,7 +17,7 @@ PERIOD_PX, STEPS = 60.0, 3
 
 
 def own_code(width_px: int, height_px: int) -> graycast.Code:
-    """The frames in the order in which they are shown."""
+    """Return a code whose frames are in the order of projection."""
     bits = int(np.ceil(np.log2(width_px / PERIOD_PX)))
     halves = graycast.Frame(kind="complementary", axis="column", period_px=PERIOD_PX)
     frames = [graycast.Frame(kind="white"), graycast.Frame(kind="black")]
@@ -27,7 +27,7 @@ def own_code(width_px: int, height_px: int) -> graycast.Code:
         width_px=width_px,
         height_px=height_px,
         frames=tuple(frames),
-        stride_px=(PERIOD_PX, 1.0),  # the Gray code counts periods, not columns
+        stride_px=(PERIOD_PX, 1.0),  # The Gray code counts periods, not columns.
     )
 
 
@@ -42,7 +42,7 @@ def main(samples: int) -> None:
     cell = graycast.load_cell(config)
     projector = cell.scanner.rig.projector
     code = own_code(projector.width_px, projector.height_px)
-    # This sensor is noisier than the rig's; manifests of a dataset record it and the code.
+    # This sensor is noisier than the rig's; a dataset's manifests record the sensor and the code.
     sensor = replace(cell.scanner.sensor, read_noise_e=6.0)
     cell = cell.with_own(code=code, sensor=sensor)
 

@@ -1,4 +1,4 @@
-"""A part of the user, from its mesh to a dataset: a hexagon nut, made here and saved as a file.
+"""Make a dataset of your own part: a hexagon nut, whose mesh is made here and saved as a file.
 
 A dataset records its sources, so the part must come from a file that the configuration names.
 
@@ -13,12 +13,12 @@ from manifold3d import CrossSection, Manifold
 
 import graycast as gc
 
-ACROSS_FLATS_MM, HOLE_MM, HEIGHT_MM = 46.0, 30.0, 24.0  # an M30 nut without its thread
+ACROSS_FLATS_MM, HOLE_MM, HEIGHT_MM = 46.0, 30.0, 24.0  # an M30 nut without a thread
 
 
 def nut() -> trimesh.Trimesh:
-    """Six corners, a round hole; its length unit is the millimetre."""
-    corner_mm = ACROSS_FLATS_MM / 3**0.5  # from the middle to a corner
+    """Return a nut with six corners and a round hole; the unit of length is the millimetre."""
+    corner_mm = ACROSS_FLATS_MM / 3**0.5  # distance from the centre to a corner
     outline = CrossSection.circle(corner_mm, 6) - CrossSection.circle(HOLE_MM / 2, 48)
     mesh = Manifold.extrude(outline, HEIGHT_MM).to_mesh()
     return trimesh.Trimesh(mesh.vert_properties[:, :3], mesh.tri_verts)

@@ -1,8 +1,8 @@
-"""A renderer of the user: fog between camera, projector and parts, added to another renderer.
+"""Write your own renderer: fog between camera, projector and parts, added to another renderer.
 
-Whatever has the methods of `graycast.Renderer` can make scenes. This one asks another renderer for
-its light, and takes from it what a fog absorbs on the way to a surface and back to the camera:
-`exp(-density * (way of the light + way of the view))`, the law of Beer and Lambert.
+Any object with the methods of `graycast.Renderer` can make scenes. This renderer gets light from
+another renderer, and attenuates it on its way from the projector to a surface and back to the
+camera: `exp(-density * (length of both ways))`, the law of Beer and Lambert.
 
 Leaves out: light that the fog scatters into the camera, and fog between surfaces.
 
@@ -22,7 +22,7 @@ from graycast.rig.optics import rays
 
 @final
 class FoggyRenderer(graycast.Renderer):
-    """Another renderer's light through fog of a density [1/m]."""
+    """Another renderer's light after it has passed through fog of a density [1/m]."""
 
     def __init__(self, clear: graycast.Renderer, density_per_m: float) -> None:
         self.clear, self.density_per_m = clear, density_per_m

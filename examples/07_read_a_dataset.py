@@ -1,6 +1,6 @@
-"""Reading a dataset: its pictures, masks and poses as arrays, and the scanner's errors.
+"""Read a dataset: its pictures, masks and poses as arrays, and the scanner's errors.
 
-`graycast.open_examples` reads datasets and all that `graycast dataset export` makes of them alike.
+`graycast.open_examples` reads datasets, and also all exports of `graycast dataset export`.
 
 Run after `make demo`: .venv/bin/python examples/07_read_a_dataset.py out/demo
 """
@@ -20,7 +20,7 @@ def main(folder: Path) -> None:
     for example in examples:
         depth_m, true_m, masks = example.scanner_depth_m, example.depth_m, example.mask
         obj_id, instance, visible = example.obj_id, example.instance, example.visib_fract
-        # Fields that a dataset lacks are None; a dataset that Graycast generated lacks none.
+        # A field is None if the dataset lacks it; datasets from Graycast have all fields.
         assert depth_m is not None and true_m is not None and masks is not None
         assert obj_id is not None and instance is not None and visible is not None
         for i, mask in enumerate(masks):

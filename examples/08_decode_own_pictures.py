@@ -1,7 +1,7 @@
-"""Pictures that a real camera took of a real projector's patterns, decoded to depth and a cloud.
+"""Decode pictures that a real camera took of a real projector's patterns to depth and a cloud.
 
-`graycast rig patterns --codec gray_phase` wrote the patterns. The pictures lie in one folder, and
-sorted by name they are in the order of the patterns. The rig file is the calibrated one.
+`graycast rig patterns --codec gray_phase` writes the patterns. The pictures are in one folder;
+sorted by name, they must be in the order of the patterns. The rig file comes from a calibration.
 
 Run: .venv/bin/python examples/08_decode_own_pictures.py pictures/ rig.yaml out/cloud.ply
 """
@@ -26,7 +26,7 @@ def main(pictures: Path, rig_file: Path, cloud: Path) -> None:
     description = pictures / "stack.yaml"
     description.write_text(describe_code(code, names), encoding="utf-8")
     result = graycast.decode_stack(description, rig)
-    # Without a rig there would be neither depth nor cloud.
+    # Without a rig, there would be neither depth nor a cloud.
     assert result.depth is not None and result.cloud is not None
 
     for warning in result.warnings:

@@ -1,9 +1,9 @@
-"""A detector of the user: RF-DETR, from the library rfdetr (Apache-2.0), in Graycast's training.
+"""Train your own detector: RF-DETR from the library rfdetr (Apache-2.0).
 
-Any subclass of `Network` can be trained, validated and used. This one takes the network, the loss
-and the choice of boxes from the library. It downloads no weights.
+Any subclass of `Network` can be trained, validated and used. This subclass takes the network, the
+loss and the selection of boxes from the library. It downloads no weights.
 
-Leaves out: ignored instances. In training, a box on a part that is nearly hidden is a mistake.
+Leaves out: ignored instances. In training, a box on a nearly hidden part counts as a mistake.
 
 Needs: pip install 'graycast[detect]' rfdetr
 Run: .venv/bin/python examples/09_own_detector.py out/demo out/rf_detr
@@ -34,7 +34,7 @@ class RfDetr(Network):
         # Each query starts at a patch. With more queries than patches, the scores do not converge.
         patches = (size_px[0] // known["patch_size"]) * (size_px[1] // known["patch_size"])
         described = size(
-            num_classes=classes - 1,  # The library adds a class.
+            num_classes=classes - 1,  # The library adds one class.
             num_queries=min(known["num_queries"], patches), pretrain_weights="none", device="cpu",
         )  # fmt: skip
         training = config.TrainConfig(dataset_dir=".", output_dir=".")

@@ -1,4 +1,4 @@
-"""Back ends for contract tests; Cycles is only in the slow suite, because it is slow."""
+"""Back ends for contract tests; Cycles is slow, so it is only in the slow suite."""
 
 import pytest
 
@@ -16,5 +16,5 @@ CYCLES = slow("cycles")
 
 
 def direct_light(renderer):
-    """Return the quality for direct light; 16 samples (a 4 x 4 grid) for the exact renderer."""
+    """Return the quality for direct light; the exact renderer needs 16 samples (a 4 x 4 grid)."""
     return Quality(samples=16 if renderer.name == REFERENCE else 64, depth=1)

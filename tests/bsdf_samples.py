@@ -4,7 +4,7 @@ import numpy as np
 
 
 def arriving(wi, n=1):
-    """Return `n` hits seen from one direction, or one hit for each column of `wi`."""
+    """Return `n` surface hits with one incident direction, or a hit for each column of `wi`."""
     import drjit as dr
     import mitsuba as mi
 
@@ -14,14 +14,14 @@ def arriving(wi, n=1):
 
 
 def leaning(angle_deg, turn_deg=0.0):
-    """Return a direction from its angle to the normal and its azimuth from x."""
+    """Return a unit vector from its angle to the normal and its azimuth from x."""
     angle, turn = np.radians(angle_deg), np.radians(turn_deg)
     sine = np.sin(angle)
     return np.array([sine * np.cos(turn), sine * np.sin(turn), np.cos(angle)])
 
 
 def upper(n, seed):
-    """Return uniform directions of the upper hemisphere as columns; density 1 / (2 pi)."""
+    """Return uniform random directions on the upper hemisphere as columns; density 1 / (2 pi)."""
     rng = np.random.default_rng(seed)
     z, turn = rng.random(n), 2 * np.pi * rng.random(n)
     return np.stack(direction(z, turn))
@@ -54,8 +54,8 @@ def direction(z, turn):
 
 
 def assert_samples_fall_where_densities_say(bsdf, wi, *, fine, n=200_000):
-    """The density with the share that dips below the surface is 1, and the samples in each of 8 x 8
-    cells are as many as it says (chi-square, one in a million). The grid has `fine`^2 directions.
+    """The density and the share of samples below the surface add up to 1. In each of 8 x 8 cells,
+    the number of samples agrees with the density (chi-squared). The grid has `fine`^2 directions.
     """
     z, turn = (np.arange(fine) + 0.5) / fine, 2 * np.pi * (np.arange(fine) + 0.5) / fine
     grid = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)

@@ -1,4 +1,4 @@
-"""Fixtures of all tests: the render device of the process and the shared data."""
+"""Fixtures of all tests: the render device of the process, and shared data."""
 
 import gc
 import os
@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-# Background runs ignore Ctrl-C, and the processes that tests interrupt would inherit this.
+# Background runs ignore Ctrl-C, and processes that tests interrupt would inherit this setting.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Imports create many permanent objects. Searching them for garbage again
-# and again took a quarter of the time of test collection.
+# Imports create many permanent objects. Repeated garbage collection over these objects took a
+# quarter of the time of test collection.
 gc.set_threshold(100_000, 20, 100)
 
-# Parallel workers (-n) that each use all cores wait for each other: a third of the
-# processor time. NumPy's threads are set before it loads, the others below. Threads of PyTorch
-# (in child processes too) spin while waiting: two took eight times as long as one. The
-# denoiser's threads would use the same cores in each worker.
+# Parallel workers (-n) that all use every core wait for each other, which took a third of the
+# processor time. The threads of NumPy must be set before it is loaded; the others are set below.
+# PyTorch's threads (also in child processes) spin while they wait: two threads took eight times as
+# long as one. The threads of the denoiser would use the same cores in each worker.
 BESIDE_OTHERS = "PYTEST_XDIST_WORKER" in os.environ
 if BESIDE_OTHERS:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -57,7 +57,7 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     file = config.getoption("--skips-allowed")
-    if file is not None and not BESIDE_OTHERS:  # Workers send their reports to one process.
+    if file is not None and not BESIDE_OTHERS:  # Only the main process receives all reports.
         from skips import Skips
 
         config.pluginmanager.register(Skips(file, config.getoption("--lacks").split()))
@@ -69,7 +69,7 @@ def pytest_collection_finish():
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread_beside_others():
-    """Let Numba use one thread; tests of threads set the number themselves."""
+    """Let Numba use a single thread; tests of threads set the number themselves."""
     if BESIDE_OTHERS:
         import numba
 
@@ -78,7 +78,7 @@ def one_thread_beside_others():
 
 @pytest.fixture(scope="session", autouse=True)
 def one_compiler_beside_others(tmp_path_factory):
-    """Compile each kernel once, as Numba takes a third of the CPU time in a fresh clone."""
+    """Compile each kernel only once: Numba takes a third of the CPU time in a fresh clone."""
     if not BESIDE_OTHERS:
         yield
         return
@@ -92,7 +92,7 @@ def one_compiler_beside_others(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def mitsuba_renderer(request):
-    """Return Mitsuba on the device of the run (default: CPU), which a process cannot change."""
+    """Return Mitsuba on the run's device (CPU by default), which a process cannot change."""
     from graycast.rendering import open_renderer
 
     return open_renderer("mitsuba", device=request.config.getoption("--device"))
@@ -132,7 +132,7 @@ def shared() -> Path:
     return folder.parent
 
 
-# A browser without a display, which draws WebGL on the processor.
+# The browser has no display, and draws WebGL on the processor.
 BROWSER_FLAGS = [
     "--no-sandbox",
     "--use-gl=angle",

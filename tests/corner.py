@@ -1,4 +1,4 @@
-"""A corner of two walls with a box and a ball in it, for comparing renderers."""
+"""A corner of two walls with a box and a ball in it, to compare renderers."""
 
 import numpy as np
 from stage import (
@@ -21,7 +21,7 @@ COAT = Material(base_color=(0.6, 0.3, 0.2), roughness=0.4)
 
 
 def corner_scene(*, metal=METAL, coat=COAT):
-    """Return two walls that light each other, a metal box and a coated ball."""
+    """Return two walls that illuminate each other, with a metal box and a coated ball."""
     rig = make_rig(
         centred(48, 36, 52),
         centred(48, 36, 62),

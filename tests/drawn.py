@@ -1,4 +1,4 @@
-"""Inspect figures before they are rendered, by the titles of their axes."""
+"""Find the axes of figures by their titles, before the figures are rendered."""
 
 from contextlib import contextmanager
 
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 @contextmanager
 def figures_of(module):
-    """Collect the figures that a module writes in this block; their files are also written."""
+    """Collect the figures that a module writes in this block; their files are written, too."""
     figures, write = [], module.save_png
 
     def save(figure, path, *, dpi):
@@ -37,20 +37,20 @@ def no_pixels():
 
 
 def axes_of(figure):
-    """Return the axes of a figure by their titles; axes without a title are left out."""
+    """Return the axes of a figure by title; axes without a title are left out."""
     titled = {ax.get_title(loc="left") or ax.get_title(): ax for ax in figure.axes}
     titled.pop("", None)
     return titled
 
 
 def lines_of(ax):
-    """Return (x, y) of each line with markers, as numbers."""
+    """Return arrays (x, y) for each line that has markers."""
     lines = (line for line in ax.lines if line.get_marker() not in ("None", "", None))
     return [tuple(np.array(values, float) for values in line.get_data()) for line in lines]
 
 
 def points_of(ax):
-    """Return the sorted points of all lines with markers, without those that have NaN."""
+    """Return the sorted points of all lines that have markers, without points with NaN."""
     points = np.concatenate([np.column_stack(line) for line in lines_of(ax)])
     return np.array(sorted(points[np.isfinite(points).all(axis=1)].tolist()))
 
@@ -61,7 +61,7 @@ def heights_of(ax):
 
 
 def shares_of(picture, name, *, within=1e-3):
-    """Return the position of each RGB pixel in the colour map, 0 to 1; NaN if not in it."""
+    """Return each RGB pixel's position in the colour map, 0 to 1; NaN if it is not in the map."""
     table = colormaps[name](np.arange(256))[:, :3]
     distance, index = cKDTree(table).query(np.asarray(picture, float)[..., :3])
     return np.where(distance < within, index / 255, np.nan)

@@ -1,4 +1,4 @@
-"""Measure how far a renderer's lenses blur an edge."""
+"""Measure how much the lenses of a renderer blur an edge."""
 
 import math
 from dataclasses import replace
@@ -10,9 +10,9 @@ from graycast.rendering import Quality
 from graycast.world.scene import EMPTY_LAYOUT, Quad
 
 ROWS = 24
-NEAR_BY = (1e-4, 0.0, 0.0)  # a baseline without shadows and with almost no parallax
+NEAR_BY = (1e-4, 0.0, 0.0)  # a baseline that gives no shadows and hardly any parallax
 HALF_M = 0.5
-BLUR_M = 20e-3  # pupils that blur by pixels
+BLUR_M = 20e-3  # diameter of a pupil that blurs by several pixels
 
 
 def light_of(renderer, scene, pattern, *, samples=256, depth=1, seed=0):
@@ -22,7 +22,7 @@ def light_of(renderer, scene, pattern, *, samples=256, depth=1, seed=0):
 
 
 def half_wall(z_m, material):
-    """Return the half x > 0 of a wall perpendicular to the axis."""
+    """Return the half x > 0 of a wall that is perpendicular to the axis."""
     return Quad(
         center_m=(HALF_M, 0.0, z_m),
         half_u_m=(HALF_M, 0.0, 0.0),
@@ -32,13 +32,14 @@ def half_wall(z_m, material):
 
 
 def spread(edge):
-    """Standard deviation of the line spread along the rows of an edge's share of white, 0 to 1, and
-    its standard error [pixels]. Two boxes of a pixel, its own and the difference's, are taken off.
+    """Return standard deviation [px] and standard error of an edge's line spread along the rows.
+
+    The edge is 0 to 1. The variance of two boxes (the pixel and the difference) is subtracted.
     """
     line = np.diff(edge, axis=1)
     assert np.abs(line.sum(axis=1) - 1).max() < 1e-3
     x = np.arange(line.shape[1])
-    # A common mean is used, because the mean of each row would absorb some of its noise.
+    # The mean is common to all rows, because the mean of each row would absorb some of its noise.
     variance = (line * (x - (line.mean(axis=0) @ x)) ** 2).sum(axis=1) - 1 / 6
     error = variance.std(ddof=1) / math.sqrt(len(edge))
     deviation = math.sqrt(max(variance.mean(), 1e-12))
@@ -46,7 +47,7 @@ def spread(edge):
 
 
 def camera_spread(renderer, camera, z_m, *, samples):
-    """Return the spread of the edge of a lit wall that a camera sees through its lens."""
+    """Return the spread of the edge of a lit wall, as seen by a camera through its lens."""
     rig = make_rig(camera, centred(64, 64, 30), baseline_m=NEAR_BY)
     pattern = plain_pattern(rig, 255)
     edge, whole = (

@@ -1,8 +1,8 @@
-"""A progress meter that remembers what it hears."""
+"""A progress meter that records what it receives."""
 
 
 class Metered:
-    """Progress meter whose `counts` are (kind, done, total)."""
+    """Progress meter whose `counts` are tuples (kind, done, total)."""
 
     def __init__(self):
         self.stages, self.counts, self.notes = [], [], []

@@ -1,8 +1,8 @@
-"""One pattern at a time by Mitsuba's own camera, projector and path integrator.
+"""Render one pattern at a time with Mitsuba's own camera, projector and path integrator.
 
-An independent program for the tests of the one-pass renderer: it takes over the scene's shapes, but
-nothing of the renderer's code but its coated material (which has tests of its own), and tells the
-materials to Mitsuba in its own words.
+This is an independent program for tests of the one-pass renderer. It uses the shapes of the scene,
+but none of the renderer's code except its coated material, which has tests of its own. It
+translates the materials itself.
 """
 
 import math
@@ -11,17 +11,17 @@ import numpy as np
 
 from graycast.world.scene import Quad
 
-FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's cameras and projectors have x left and y up
-FINER = 8  # texels per projector pixel and axis, for the cosine below
+FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's cameras and projectors have x left and y up.
+FINER = 8  # texels per projector pixel and axis, for the cosine in `_projector`
 
 
 def render(scene, layout, pattern, *, samples, depth, seeds):
-    """Monochrome radiance (seeds, h, w) of one 8-bit pattern."""
+    """Return the monochrome radiance (seeds, h, w) for one 8-bit pattern."""
     import mitsuba as mi
 
     world = mi.load_dict({"type": "scene", **_shapes(scene, layout), **_projector(scene, pattern)})
     sensor = mi.load_dict(_camera(scene))
-    path = mi.load_dict({"type": "path", "max_depth": depth + 1})  # counts edges, not vertices
+    path = mi.load_dict({"type": "path", "max_depth": depth + 1})  # It counts edges, not vertices.
     weights = np.array(scene.rig.band_weights)
     return np.stack(
         [
@@ -51,7 +51,7 @@ def _camera(scene):
 
 
 def _field(optics):
-    """Square pixels, axis in the middle: all that Mitsuba's projector can be."""
+    """Return a field with square pixels and a central axis, which Mitsuba's projector requires."""
     assert optics.fx_px == optics.fy_px and not optics.has_distortion
     assert optics.cx_px == (optics.width_px - 1) / 2 and optics.cy_px == (optics.height_px - 1) / 2
     fov = math.degrees(2 * math.atan(optics.width_px / 2 / optics.fx_px))
@@ -59,7 +59,7 @@ def _field(optics):
 
 
 def _projector(scene, pattern):
-    """Mitsuba's projector gives irradiance at z = 1, so a constant intensity falls by cos^3."""
+    """Mitsuba's projector emits irradiance at z = 1, so a constant intensity falls by cos^3."""
     import mitsuba as mi
 
     rig = scene.rig
@@ -105,7 +105,7 @@ def _shapes(scene, layout):
         shapes[f"surface{i}"] = {**shape, "bsdf": _bsdf(surface.material)}
     for i, index in enumerate(layout.part_index):
         part = scene.parts[index]
-        half = np.diag([*(part.mesh.extent_m / 2), 1.0])  # every part here is a box
+        half = np.diag([*(part.mesh.extent_m / 2), 1.0])  # All parts of these tests are boxes.
         to_world = mi.ScalarTransform4f(layout.T_world_part[i] @ half)
         shapes[f"box{i}"] = {"type": "cube", "to_world": to_world, "bsdf": _bsdf(part.material)}
     return shapes
@@ -113,11 +113,11 @@ def _shapes(scene, layout):
 
 def _bsdf(material):
     color = {"type": "rgb", "value": list(material.base_color)}
-    if material.metallic:  # This and coated_diffuse use the renderer's BSDF, not its transport.
+    if material.metallic:  # This BSDF and coated_diffuse are the renderer's; the transport is not.
         return {"type": "rough_conductor", "alpha": material.roughness**2, "reflectance": color}
     if material.specular == 0:
         return {"type": "diffuse", "reflectance": color}
-    assert material.specular == 0.5  # index 1.5
+    assert material.specular == 0.5  # This means a refractive index of 1.5.
     return {
         "type": "coated_diffuse",
         "alpha": material.roughness**2,

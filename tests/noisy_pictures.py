@@ -1,4 +1,4 @@
-"""Whether two sets of noisy pictures can have one mean: t-tests on independent seeds."""
+"""Decide by t-tests over independent seeds whether two sets of noisy pictures have one mean."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ BLOCK_PX = 6
 
 
 def blocks(image):
-    """Return sums over squares of pixels, which are nearly normal and independent."""
+    """Return sums over square blocks of pixels, which are nearly normal and independent."""
     h, w = image.shape[-2:]
     split = image.reshape(*image.shape[:-2], h // BLOCK_PX, BLOCK_PX, w // BLOCK_PX, BLOCK_PX)
     return split.sum(axis=(-3, -1)).reshape(*image.shape[:-2], -1)
 
 
 def scores(one, other):
-    """Return Welch's t of each block and of the whole picture; the first axis is the seed."""
+    """Return Welch's t for each block and for the whole picture; the first axis is the seed."""
 
     def t(a, b):
         variance = a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b)
@@ -23,10 +23,10 @@ def scores(one, other):
 
 
 def agree(one, other):
-    """Whether two sets of pictures (seeds, blocks) can have one mean.
+    """Return whether two sets of pictures (seeds, blocks) can have the same mean.
 
-    Under that hypothesis t has about n degrees of freedom: mean square n / (n - 2), fourth moment
-    3 n^2 / ((n - 2) (n - 4)). Blocks hit by no light are left out.
+    If they have, t has about n degrees of freedom: its mean square is n / (n - 2), and its fourth
+    moment is 3 n^2 / ((n - 2) (n - 4)). Blocks without light are left out.
     """
     lit = (one.mean(axis=0) > 0) & (other.mean(axis=0) > 0)
     each, whole = scores(one[:, lit], other[:, lit])

@@ -1,4 +1,4 @@
-"""Let one of several parallel workers compile a kernel, and the others load it."""
+"""Let one of several parallel workers compile a kernel, and let the others load it."""
 
 import fcntl
 from collections.abc import Iterator
@@ -13,9 +13,10 @@ from numba.core.dispatcher import Dispatcher
 def one_compiler_a_kernel(folder: Path) -> Iterator[None]:
     """Lock each kernel by its name while one of several processes compiles it for the cache.
 
-    Without it, two processes compile the same kernel, and if both store a version at once,
-    one is lost. Numba looks up a kernel after it takes the lock, so a process that waited finds it.
-    Compiling a kernel also compiles those that it calls. Calls are not circular: no deadlock.
+    Without the lock, two processes would compile the same kernel, and if both store a version at
+    the same time, one version is lost. Numba looks a kernel up after it takes the lock, so a
+    process that waited for the lock loads the kernel. Compiling a kernel also compiles the kernels
+    that it calls. Calls are not circular, so there is no deadlock.
     """
     compile_one, locked = Dispatcher.compile, set()
 

@@ -32,7 +32,7 @@ def lensed_rig():
 
 
 def write_dataset(out: Path, scene_ids=(0, 3), rig=None, *, keeps=False):
-    """Write it and return samples by scene; `keeps` also stores frames and code maps."""
+    """Write the dataset, return its samples by scene; `keeps` also stores frames and code maps."""
     rig, parts = rig or make_rig(), (box_part(), wedge_part())
     samples = {k: build_sample(k, parts=parts, rig=rig) for k in scene_ids}
     config = CONFIG | {"scanner": {"code": CODE}}

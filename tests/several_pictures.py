@@ -1,7 +1,7 @@
 """A small finished dataset of two scanners with two views each, in closed form.
 
-Boxes and wedges lie on the floor of one world, seen from four places; the scanners' pictures have
-other sizes. The first picture has a hole that the others do not have.
+Boxes and wedges are on the floor of one world, and four cameras see them. The pictures of the two
+scanners have different sizes. Only the first picture has a hole.
 """
 
 import sys
@@ -28,12 +28,12 @@ from prisms import CONFIG, SCALE_MM, SEED, box_part, hit_depth, pictures, wedge_
 NAMES = ("left-0", "left-1", "right-0", "right-1")
 SCENES = (0, 3)
 SIGMA_M = 0.1e-3
-HOLE = np.s_[40:60, 60:90]  # hole in the first picture
+HOLE = np.s_[40:60, 60:90]  # the hole in the first picture
 _EYES = ((-0.25, 0.0, 0.6), (0.0, -0.3, 0.6), (0.25, 0.05, 0.6), (0.0, 0.3, 0.55))
 
 
 def rigs():
-    """`left` has 160 x 120 pixels, `right` 128 x 96."""
+    """Return two rigs: `left` with 160 x 120 pixels, and `right` with 128 x 96."""
     by_name = {}
     for name, (width, height, f) in {"left": (160, 120, 200.0), "right": (128, 96, 150.0)}.items():
         camera = Optics(
@@ -126,6 +126,6 @@ def write_several(out):
 
 @pytest.fixture(scope="session")
 def several(tmp_path_factory):
-    """Return the dataset and its samples. Tests that change it copy it."""
+    """Return the dataset and its samples; a test that changes them must copy them."""
     out = tmp_path_factory.mktemp("several") / "out"
     return out, write_several(out)

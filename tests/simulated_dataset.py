@@ -1,4 +1,4 @@
-"""A small finished dataset in closed form, for tests outside of tests/dataset, and its samples."""
+"""A small finished dataset in closed form with its samples, for tests outside tests/dataset."""
 
 import sys
 from functools import cache
@@ -15,7 +15,7 @@ from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wed
 
 @cache
 def _sample(scene_id):
-    """Return a sample, made once per process; a test that changes it copies it."""
+    """Return a sample, which is made once per process; a test that changes it must copy it."""
     return build_sample(scene_id, parts=(box_part(), wedge_part()), rig=make_rig())
 
 
@@ -34,7 +34,7 @@ def write_dataset(out, scene_ids=(0, 3, 4, 5)):
 
 @pytest.fixture(scope="session")
 def master_and_samples(tmp_path_factory):
-    """Return one dataset for all formats. Tests that change it copy it."""
+    """Return one dataset for all formats; a test that changes it must copy it."""
     out = tmp_path_factory.mktemp("master") / "out"
     return out, write_dataset(out)
 
@@ -51,7 +51,7 @@ def samples(master_and_samples):
 
 @pytest.fixture
 def exported(master, tmp_path):
-    """Return a function that exports the dataset; its keywords are options."""
+    """Return a function that exports the dataset; its keyword arguments are export options."""
 
     def run(form, **options):
         options.setdefault("split", Split())
@@ -63,7 +63,7 @@ def exported(master, tmp_path):
 
 
 def visible(sample):
-    """Return visible instances, their masks, and their boxes [x, y, columns, rows]."""
+    """Return the visible instances, their masks, and their boxes [x, y, columns, rows]."""
     instances = [i for i in range(8) if (sample.truth.instance == i).any()]
     masks = [sample.truth.instance == i for i in instances]
     boxes = []

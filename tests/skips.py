@@ -9,10 +9,10 @@ import pytest
 
 
 class Skips:
-    """Lists the reasons at the end of a run, and fails the run where one may not appear.
+    """Plugin that lists the reasons at the end of a run, and fails the run for unlisted reasons.
 
     Args:
-        file: a line for each reason, as `tests/skips.txt` describes it.
+        file: a file with a line for each reason, as `tests/skips.txt` describes.
         lacks: features that this machine lacks, in the words of the file's first column.
     """
 

@@ -1,4 +1,4 @@
-"""A cell made in a moment: three boxes in a plain bin before a camera of 160 x 120 pixels."""
+"""A cell that is made quickly: three boxes in a plain bin, and a camera of 160 x 120 pixels."""
 
 import json
 import os
@@ -19,7 +19,7 @@ GRAYCAST = [sys.executable, "-m", "graycast"]
 
 
 def write_cell(folder: Path, *without: str, **changes) -> Path:
-    """Write a configuration, mesh and rig; `changes` and `without` are top-level keys."""
+    """Write a configuration, a mesh and a rig; `changes` and `without` are top-level keys."""
     trimesh.creation.box((60, 40, 30)).export(folder / "box.stl")
     rig = preset_rig("paper")
     camera, projector = shrunk(rig.camera, 160, 120), shrunk(rig.projector, 128, 96)
@@ -40,7 +40,7 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
 
 
 def content(out: Path) -> dict:
-    """Return all files of a dataset, hidden ones too; manifests are parsed, without timings."""
+    """Return all files of a dataset, also hidden ones; manifests are parsed, without timings."""
     files = {
         str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()
     }
@@ -54,7 +54,7 @@ def content(out: Path) -> dict:
 
 
 def start(*arguments: object) -> subprocess.Popen:
-    """Start the command in a process group of its own, as a terminal does."""
+    """Start the command in its own process group, as a terminal does."""
     return subprocess.Popen(
         [*GRAYCAST, *map(str, arguments)],
         stdout=subprocess.PIPE,

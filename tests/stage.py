@@ -11,7 +11,7 @@ from graycast.world.parts import Material, Mesh, Part
 from graycast.world.scene import Environment, Layout, Quad, Scene, Sphere
 
 DARK = Environment(radiance=(0.0, 0.0, 0.0))
-# The camera is oblique, so that no test passes only because two frames coincide.
+# The camera is oblique, so that no two frames coincide by chance.
 SOMEWHERE = rigid(
     axis_rotation("x", 2.5) @ axis_rotation("y", 0.2) @ axis_rotation("z", 0.4),
     np.array([0.3, -0.2, 0.9]),
@@ -19,12 +19,12 @@ SOMEWHERE = rigid(
 
 
 def lambert(*albedo):
-    """Return a Lambertian material with one albedo or one for each colour."""
+    """Return a Lambertian material with one albedo, or with an albedo for each colour."""
     return Material(base_color=tuple(albedo) if len(albedo) == 3 else albedo * 3, specular=0.0)
 
 
 def optics(width_px, height_px, f_px, *, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)):
-    """Return optics with fx != fy and an off-centre axis, so that exchanged axes are noticed."""
+    """Return optics with fx != fy and an off-centre axis, so that tests detect exchanged axes."""
     return Optics(
         width_px=width_px,
         height_px=height_px,
@@ -49,7 +49,7 @@ def centred(width_px, height_px, f_px):
 
 
 def make_rig(camera, projector, *, baseline_m=(0.1, 0.0, 0.0), rotation=None, **words):
-    """Return a rig with the projector at `baseline_m` in the camera frame; default: parallel."""
+    """Return a rig with the projector at `baseline_m` in the camera frame, parallel by default."""
     rotation = np.eye(3) if rotation is None else rotation
     return Rig(
         name="test",
@@ -92,7 +92,7 @@ def leaning_wall(normal, offset_m, material, *, half_m=5.0):
     normal = np.asarray(normal) / np.linalg.norm(normal)
     u = np.cross([0.0, 1.0, 0.0], normal)
     u /= np.linalg.norm(u)
-    v = -np.cross(normal, u)  # This gives u x v = -normal, towards the camera.
+    v = -np.cross(normal, u)  # With this v, u x v = -normal points towards the camera.
     return Quad(
         center_m=tuple((offset_m * normal).tolist()),
         half_u_m=tuple((half_m * u).tolist()),
@@ -140,7 +140,7 @@ BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for 
 
 
 def box_part(half_m, material, *, name="box"):
-    """Return a box centred at its own origin."""
+    """Return a box whose centre is its own origin."""
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
     mesh = Mesh(vertices_m=BOX_CORNERS * half_m, faces=faces)

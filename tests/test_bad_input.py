@@ -1,4 +1,4 @@
-"""Bad input to the command gives one line with fault and remedy, and leaves no partial output."""
+"""Wrong input to a command gives one line with fault and remedy, and leaves no partial output."""
 
 import fcntl
 import os
@@ -21,7 +21,7 @@ from graycast.rendering.device import CudaState, examine_cuda
 
 
 def refusal(capsys, *arguments):
-    """Return the one line on stderr of a command that fails."""
+    """Return the single line that a failing command writes to stderr."""
     assert main([str(argument) for argument in arguments]) == 1
     return one_line(capsys.readouterr().err)
 
@@ -35,7 +35,7 @@ def one_line(text):
 
 
 def assert_untouched(out: Path):
-    """Check that the folder is missing or unclaimed; the lock of the failed run may remain."""
+    """Check that the folder is missing or not claimed; the lock of the failed run may remain."""
     assert not out.exists() or {entry.name for entry in out.iterdir()} <= {".lock"}
 
 
@@ -167,7 +167,7 @@ def test_a_missing_configuration_file_is_refused(capsys, tmp_path):
     assert "none.yaml: no such file: check the path" in refusal(capsys, "parts", "none.yaml")
 
 
-# --- the files that it names -------------------------------------------------------------------
+# --- the files that a configuration names ------------------------------------------------------
 
 
 def box():
@@ -254,7 +254,7 @@ def test_a_broken_texture_is_named_with_the_remedy(capsys, tmp_path, damage):
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [slow("exr"), "hdr"])
 def test_a_damaged_environment_map_is_named_and_no_folder_is_made(capsys, tmp_path, ending):
-    """The output folder once stayed claimed, and so refused the corrected configuration."""
+    """The output folder once stayed claimed, so the corrected configuration was refused."""
     sky = np.random.default_rng(0).random((16, 32, 3)).astype(np.float32)
     whole = cv2.imencode(".hdr", sky)[1].tobytes()
     content = b"v/1\x01\x02\x00\x00\x00channels" if ending == "exr" else whole[: len(whole) // 2]
@@ -325,12 +325,12 @@ def test_a_bad_calibration_is_named_by_its_key(capsys, tmp_path, old, new, words
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    """Return a dataset of one scene, with its configuration next to its folder."""
+    """Return a dataset of one scene, and the path of its configuration."""
     folder = tmp_path_factory.mktemp("made")
     path = write_cell(folder)
     out = folder / "out"
     arguments = ["generate", str(path), "--out", str(out), "--scenes", "1", "--device", "cpu"]
-    with no_pixels():  # The plots of the card need no pixels.
+    with no_pixels():  # The plots of the dataset's card need no pixels.
         assert main(arguments) == 0
     return path, out
 

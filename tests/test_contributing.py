@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md lists all files that each extension changes; they exist and are few."""
+"""CONTRIBUTING.md lists all files that each kind of extension changes; they exist and are few."""
 
 import ast
 import re
@@ -17,19 +17,19 @@ from graycast.rig.pattern.spec import Codec
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST_FILES = 3
-# This file exports the functions of codes by name.
+# This file exports the functions that make codes by name.
 KNOWING = {"src/graycast/rig/pattern/__init__.py"}
 NAMES = {
-    "code": set(get_args(Codec)) - {"gray", "gray_phase"},  # "gray" also names pictures
+    "code": set(get_args(Codec)) - {"gray", "gray_phase"},  # "gray" is also a kind of picture.
     "renderer": {"cycles"},
-    "detector": set(MODELS) - {"mask-rcnn"},  # the default of trainings
-    "exporter": set(dataset_commands._FORMATS) - {"coco"},  # also a file of other datasets
+    "detector": set(MODELS) - {"mask-rcnn"},  # This is the default for training.
+    "exporter": set(dataset_commands._FORMATS) - {"coco"},  # Other datasets have a file "coco".
 }
 KINDS = [*NAMES, "statistic of datasets"]
 
 
 def lines_on() -> dict[str, str]:
-    """Return the text about each kind of extension."""
+    """Return the text about each kind of extension, by kind."""
     text = (ROOT / "CONTRIBUTING.md").read_text()
     section = text.split("## Where new things go")[1].split("\n## ")[0]
     entries = re.findall(r"^- \*\*An? ([\w\- ]+)\*\*(.*?)(?=^- |\Z)", section, flags=re.M | re.S)
@@ -49,7 +49,7 @@ def test_an_extension_touches_at_most_three_files_and_all_of_them_exist(kind):
 
 @cache
 def files_of_texts() -> Mapping[str, set[str]]:
-    """Map each string constant of the package to the files that contain it."""
+    """Return the files that contain each string constant of the package."""
     files = defaultdict(set)
     for path in (ROOT / "src").rglob("*.py"):
         for node in nodes_of(path):

@@ -16,7 +16,7 @@ from graycast.cli import doctor
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-# Registry names of packages, where they differ from the imported names.
+# Names of packages in the registry that differ from the imported names.
 IMPORTED = {
     "PyYAML": "yaml",
     "opencv-python-headless": "cv2",
@@ -25,9 +25,9 @@ IMPORTED = {
     "pin": "pinocchio",
     "scikit-learn": "sklearn",
 }
-# These come with Blender's Python or, like Coal with Pinocchio, with a package above.
+# These come with Blender's Python or, as Coal does with Pinocchio, with another package.
 ELSEWHERE = {"bpy", "mathutils", "_cycles", "coal"}
-BY_HAND = {"libreyolo"}  # pyproject.toml says why
+BY_HAND = {"libreyolo"}  # pyproject.toml explains why.
 
 
 def wanted(*lists):
@@ -35,10 +35,10 @@ def wanted(*lists):
 
 
 def imported_by(folder):
-    """Return the top-level names of the foreign packages that a folder's files import."""
+    """Return the top-level names of the external packages that a folder's files import."""
     packages = set()
     for file in folder.rglob("*.py"):
-        if "worker" in file.parts:  # scripts of Blender's Python, which import each other
+        if "worker" in file.parts:  # Scripts for Blender's Python import each other.
             continue
         for node in nodes_of(file):
             if isinstance(node, ast.Import):
@@ -49,7 +49,7 @@ def imported_by(folder):
 
 
 def test_each_dependency_is_imported_and_each_import_is_a_dependency():
-    """lxml, networkx and mapbox-earcut were once dependencies that no file imported."""
+    """lxml, networkx and mapbox-earcut once were dependencies that no file imported."""
     of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "pick", "twin")]
     dependencies = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
     dependencies = {name.replace("-", "_") for name in dependencies}
@@ -78,7 +78,7 @@ def test_dependencies_that_affect_pictures_or_layouts_have_an_upper_bound(name):
 
 
 def test_all_files_state_the_same_versions_of_python():
-    """pip once accepted Python 3.14, which setup refuses, as some packages have no wheels."""
+    """pip once accepted Python 3.14, which setup refuses because some packages have no wheels."""
     python_versions = SpecifierSet(PROJECT["requires-python"])
     allowed = [minor for minor in range(30) if f"3.{minor}" in python_versions]
     assert allowed == list(range(allowed[0], allowed[-1] + 1))

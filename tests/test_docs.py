@@ -1,4 +1,4 @@
-"""Test that numbers, paths, commands and the age of figures on the pages are right."""
+"""Numbers, paths, commands and the stated age of figures on the pages are correct."""
 
 import argparse
 import ast
@@ -21,11 +21,11 @@ OLDER = ROOT / "docs" / "measurements" / "older.md"
 FENCE = re.compile(r"^( *)```.*?^\1```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"!?\[([^\]]*)\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`]+)`")
-# A number, with its unit where it has one of these.
+# A number, with its unit if the unit is one of these.
 NUMBER = re.compile(r"(?<![\w.,/-])\d[\d,]*(?:\.\d+)?(?: ?(?:%|mm|m|s|px|°)(?!\w))?")
 COMMIT = re.compile(r"`([0-9a-f]{7,8})`")
 DATE = re.compile(r"\b\d{4}-\d\d-\d\d\b|\b\d\d?( and \d\d?)? [A-Z][a-z]+ \d{4}\b")
-# Numbers in prose that need no link to a measurement, with the reason.
+# Numbers in the text that need no link to a measurement, with the reason.
 UNMEASURED = {
     "3.11": "a version of Python, which pyproject.toml has",
     "3.13": "a version of Python, which pyproject.toml has",
@@ -54,7 +54,7 @@ def statements(page):
 
 
 def linked_text(page, target):
-    """Return the text to which a link leads; only one section if it has an anchor."""
+    """Return the text to which a link leads, or only one section if the link has an anchor."""
     path, _, anchor = target.partition("#")
     text = ((page.parent / path).resolve()).read_text(encoding="utf-8")
     if not anchor:
@@ -67,7 +67,7 @@ def linked_text(page, target):
 
 
 def missing_numbers(words, text):
-    """Return the numbers of a sentence that a text does not contain with equal units."""
+    """Return the numbers of a sentence that a text does not contain with the same units."""
     numbers = NUMBER.findall(CODE.sub("", LINK.sub(lambda link: link[1], words)))
     return [
         number
@@ -78,7 +78,7 @@ def missing_numbers(words, text):
 
 
 def measured(page):
-    """Return (sentence, text of the linked measurements) for each citation on a page."""
+    """Yield (sentence, text of the linked measurements) for each sentence with such links."""
     for words in statements(page):
         targets = [to for _, to in LINK.findall(words) if "measurements/" in to]
         if targets:
@@ -112,7 +112,7 @@ def test_a_wrong_number_is_detected():
 
 @cache
 def repository():
-    """Return the paths of files and folders in the repository, without output of runs."""
+    """Return the top folders, and the paths of all files and folders, without output of runs."""
     tops = "src tests docs configs examples benchmarks studies scripts".split()
     candidates = [path for top in tops for path in (ROOT / top).rglob("*")]
     paths = [path for path in candidates if "__pycache__" not in path.parts]
@@ -121,7 +121,7 @@ def repository():
 
 
 def is_there(path):
-    """Whether a path, or its end, exists in the repository; a star matches any characters."""
+    """Return whether a path, or its end, is in the repository; a star matches any characters."""
     paths = repository()[1]
     if "*" in path:
         return any(fnmatch(other, path) or fnmatch(other, f"*/{path}") for other in paths)
@@ -129,7 +129,7 @@ def is_there(path):
 
 
 def named_paths(text):
-    """Return the paths in a text: names of scripts, and paths that begin with our folders."""
+    """Yield the paths in a text: names of scripts, and paths that begin with a top folder."""
     for path in map(lambda match: match.rstrip("./"), PATH.findall(text)):
         is_script = re.search(r"\w\.(py|js|ipynb)$", path) and not path.startswith(("/", "."))
         if is_script or ("/" in path and path.split("/")[0] in repository()[0]):
@@ -161,7 +161,7 @@ def command_of(words):
 
 
 def test_each_command_within_a_sentence_exists_in_the_program():
-    """Such a command may omit required arguments; blocks of commands are parsed fully."""
+    """Such a command may omit required arguments; another test parses whole commands."""
     count = 0
     for page in PAGES:
         text = FENCE.sub(" ", page.read_text(encoding="utf-8"))
@@ -210,7 +210,7 @@ def test_each_make_target_on_a_page_exists():
 
 @pytest.mark.parametrize("page", [p for p in MEASUREMENTS if p != OLDER], ids=lambda p: p.stem)
 def test_each_table_of_measurements_states_its_commit_and_date(page):
-    """Commit and date are in the table's section or before the first section."""
+    """Commit and date may be in the table's section, or before the first section."""
     start, *sections = re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     for section in sections or [""]:
         if "\n|" in section or not sections:
@@ -220,7 +220,7 @@ def test_each_table_of_measurements_states_its_commit_and_date(page):
 
 
 def changes():
-    """Return (commit, cell of changed figures, cell of unchanged figures) from older.md."""
+    """Yield (commit, cell of changed figures, cell of unchanged figures) from older.md."""
     rows = [line for line in OLDER.read_text(encoding="utf-8").splitlines() if "20" in line[:25]]
     for row in rows:
         _, change, moved, unmoved, _ = row.split("|")
@@ -228,7 +228,7 @@ def changes():
 
 
 def commits_of(page):
-    """Return the commits of a page's figures, without those in the remark on its age."""
+    """Return the commits of a page's figures, except those in the remark on their age."""
     remark = re.compile(r"\*[^*]*older\.md[^*]*\*", re.DOTALL | re.IGNORECASE)
     return set(COMMIT.findall(remark.sub("", page.read_text(encoding="utf-8"))))
 
@@ -253,7 +253,7 @@ def git(*words):
 
 
 def test_figures_older_than_a_change_are_listed():
-    """Each commit of figures without the change is in one column of the list."""
+    """Each commit of figures that lacks the change is listed in one of the two columns."""
     if git("cat-file", "-e", "6f6a6da").returncode:
         pytest.skip("the history of the repository is not here")
     for change, moved, unmoved in changes():

@@ -1,4 +1,4 @@
-"""`import graycast` gives access to the whole pipeline, and loads rooms only on use."""
+"""`import graycast` gives access to the whole pipeline, and loads a room only when it is used."""
 
 import ast
 import inspect
@@ -22,7 +22,7 @@ SOURCE = Path(graycast.__file__)
 
 
 def test_importing_graycast_loads_only_the_version():
-    """In a fresh process, all other new entries of `sys.modules` belong to Python."""
+    """In a fresh process, all other new entries of `sys.modules` belong to Python itself."""
     code = (
         "import sys, typing, importlib; before = set(sys.modules); import graycast;"
         "new = {m for m in set(sys.modules) - before};"
@@ -33,7 +33,7 @@ def test_importing_graycast_loads_only_the_version():
 
 
 def test_every_public_name_is_the_object_of_its_own_package():
-    """Python reads `_MODULE` and type checkers read the imports, so both must agree."""
+    """Python reads `_MODULE`, but type checkers read the imports, so both must agree."""
     tree = ast.parse(SOURCE.read_text(encoding="utf-8"))
     modules = {
         alias.asname: node.module
@@ -53,7 +53,7 @@ def test_every_public_name_is_the_object_of_its_own_package():
 
 
 def test_no_public_name_is_also_a_package():
-    """Once a room is loaded, it would hide a function of its name."""
+    """After a room is loaded, it would hide a function with the same name."""
     rooms = {path.stem for path in SOURCE.parent.iterdir()}
     assert not rooms & set(graycast.__all__)
 
@@ -62,9 +62,9 @@ def test_only_an_unknown_name_and_not_a_broken_package_is_an_attribute_error(mon
     with pytest.raises(AttributeError, match="'graycast' has no attribute 'scene'"):
         _ = graycast.scene
     assert not hasattr(graycast, "__wrapped__")
-    monkeypatch.delattr(graycast, "rendering")  # which loads it first
+    monkeypatch.delattr(graycast, "rendering")  # `delattr` first loads the room.
     monkeypatch.delitem(sys.modules, "graycast.rendering")
-    monkeypatch.setitem(sys.modules, "graycast.rendering.radiance", None)  # the room needs it
+    monkeypatch.setitem(sys.modules, "graycast.rendering.radiance", None)  # The room needs this.
     with pytest.raises(ModuleNotFoundError, match="radiance"):
         _ = graycast.rendering
 
@@ -73,7 +73,7 @@ def test_dir_of_graycast_lists_only_its_public_names():
     assert {name for name in dir(graycast) if name[:2] != "__"} == {*graycast.__all__[1:]}
 
 
-def test_one_line_of_python_takes_a_shot(cell_and_shot):
+def test_a_shot_is_printed_as_one_line(cell_and_shot):
     assert re.fullmatch(
         r"Shot\(scene 0, \d+ parts, \d+ x \d+ px, \d+% of the parts' pixels decoded\)",
         str(cell_and_shot[1]),
@@ -89,7 +89,7 @@ def test_python_runs_the_package_as_a_module():
 
 @pytest.fixture(scope="module")
 def cell_and_shot(tmp_path_factory, mitsuba_renderer):
-    """Return a small cell and one scene of it, made without `generate`."""
+    """Return a small cell and one of its scenes, made without `generate`."""
     path = write_cell(tmp_path_factory.mktemp("cell"))
     cell = graycast.load_cell(path)
     return cell, graycast.make_scene(cell, 0, seed=5, renderer=mitsuba_renderer)
@@ -97,7 +97,7 @@ def cell_and_shot(tmp_path_factory, mitsuba_renderer):
 
 @pytest.mark.slow
 def test_a_scene_saved_by_a_script_equals_the_scene_of_generate(cell_and_shot, tmp_path):
-    """All bytes but the timings are equal, and `generate` can continue in the folder."""
+    """All bytes except the timings are equal, and `generate` can continue in the folder."""
     cell, shot = cell_and_shot
     saved = graycast.save_scene(cell, shot, tmp_path / "hand")
     assert saved == tmp_path / "hand/train/000000" and not validate(tmp_path / "hand")
@@ -111,7 +111,7 @@ def test_a_scene_is_saved_only_once_and_only_with_its_own_cell(cell_and_shot, tm
     cell, shot = cell_and_shot
     graycast.save_scene(cell, shot, tmp_path / "out")
     before = content(tmp_path / "out")
-    graycast.save_scene(cell, shot, tmp_path / "out")  # the same once more
+    graycast.save_scene(cell, shot, tmp_path / "out")  # Saving the same scene again is allowed.
     assert content(tmp_path / "out") == before
     darker = replace(shot, sample=replace(shot.sample, rgb=shot.sample.rgb // 2))
     with pytest.raises(DatasetError, match=r"000000 exists already, and its rgb/000000.png "):

@@ -1,4 +1,4 @@
-"""Each example runs as its first lines say, and stays short enough to read."""
+"""Each example runs as its first lines state, and is short enough to read."""
 
 import math
 import re
@@ -52,9 +52,9 @@ def test_every_example_is_tested_and_shorter_than_80_lines():
 
 
 def sheet_medians_mm(path):
-    """Return the median error that the colours of each large picture on a sheet show, by row.
+    """Return the median error, in mm, in the colours of each large picture on a sheet, by row.
 
-    Red and blue are errors of 5 mm; white is no error.
+    Red and blue mean errors of 5 mm; white means no error.
     """
     picture = cv2.imread(str(path))[..., ::-1]
     inked = (picture < 255).any(axis=-1).astype(np.uint8)
@@ -67,8 +67,8 @@ def sheet_medians_mm(path):
 
 
 @pytest.mark.slow
-def test_the_mesh_next_to_the_example_is_made_again_exactly(tmp_path):
-    """The mesh is written into `out`, which git ignores."""
+def test_the_example_reproduces_its_stored_mesh_exactly(tmp_path):
+    """The example writes the mesh into `out`, which git ignores."""
     run("01_make_a_mesh.py", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert (tmp_path / "out/plate.stl").read_bytes() == (EXAMPLES / "data/plate.stl").read_bytes()
@@ -78,25 +78,25 @@ def test_the_mesh_next_to_the_example_is_made_again_exactly(tmp_path):
 def test_the_example_compares_one_scene_with_its_truth(tmp_path):
     text = run("02_one_scene.py", tmp_path)
     shares = [float(share) for share in re.findall(r"([\d.]+)%", text)]
-    assert len(shares) == 9 and abs(sum(shares) - 100) < 0.5  # every pixel has one reason
+    assert len(shares) == 9 and abs(sum(shares) - 100) < 0.5  # Every pixel has one reason.
     assert float(re.search(r"median error ([\d.]+) mm", text)[1]) < 1
 
 
 @pytest.mark.slow
 def test_plain_gray_code_fails_in_a_bowl_and_micro_phases_do_not(tmp_path):
-    """M. Gupta and S. Nayar found this (CVPR 2012); two samples add noise to both codes."""
+    """M. Gupta and S. Nayar reported this (CVPR 2012); two samples add noise to both codes."""
     text = run("03_codes_in_a_bowl.py", tmp_path)
     off = {line.split()[0]: float(line.split()[3][:-1]) for line in text.splitlines()[1:]}
     assert off["gray"] > 2 * off["micro_phase"]
     printed_mm = [float(line.split()[-2]) for line in text.splitlines()[1:]]
     sheet_mm = sheet_medians_mm(tmp_path / "codes.png")
-    # The sheet is smaller than the pictures: means of up to four pixels err less than one.
+    # The sheet is smaller than the pictures, and means of up to four pixels have smaller errors.
     for on_sheet, printed in zip(sheet_mm, printed_mm, strict=True):
         assert printed / 2 < on_sheet < printed + 10 / 255
 
 
 @pytest.mark.slow
-def test_a_scanner_with_a_code_of_the_user_measures_depth(tmp_path):
+def test_a_scanner_measures_depth_with_a_user_s_own_code(tmp_path):
     text = run("04_own_code.py", tmp_path)
     assert "11 frames" in text
     assert float(re.search(r"([\d.]+)% of the pixels", text)[1]) > 50
@@ -105,7 +105,7 @@ def test_a_scanner_with_a_code_of_the_user_measures_depth(tmp_path):
 
 @pytest.mark.slow
 def test_a_part_of_the_user_becomes_a_dataset(tmp_path):
-    """A hexagon less a circle: `sqrt(3)/2 s^2 - pi r^2`; 48 corners lack 0.3 % of the circle."""
+    """A hexagon minus a circle is `sqrt(3)/2 s^2 - pi r^2`; 48 corners lack 0.3 % of a circle."""
     run("05_own_part.py", tmp_path)
     area_mm2 = math.sqrt(3) / 2 * 46**2 - math.pi * 15**2
     assert trimesh.load(tmp_path / "nuts/nut.stl").volume == pytest.approx(24 * area_mm2, rel=5e-3)
@@ -114,7 +114,7 @@ def test_a_part_of_the_user_becomes_a_dataset(tmp_path):
 
 @pytest.mark.slow
 def test_fog_in_a_renderer_of_the_user_multiplies_the_exposure(tmp_path):
-    """Equal steps of density multiply the exposure by equal factors, as exponentials do."""
+    """Equal steps of density multiply the exposure by equal factors, as an exponential does."""
     text = run("06_own_renderer.py", tmp_path)
     clear, thin, thick = (float(number) for number in re.findall(r"([\d.]+) ms", text))
     assert thin > 1.5 * clear
@@ -150,14 +150,14 @@ def test_the_example_converts_pictures_of_a_wall_to_a_cloud(tmp_path):
     run("08_decode_own_pictures.py", tmp_path)
     z_m = trimesh.load(tmp_path / "out/cloud.ply").vertices[:, 2]
     column_m = WALL_M**2 / (160 * 0.1)  # depth per projector column
-    assert len(z_m) > 5000 and abs(np.median(z_m) - WALL_M) < 0.1 * column_m  # its staircase
+    assert len(z_m) > 5000 and abs(np.median(z_m) - WALL_M) < 0.1 * column_m  # depth has steps
 
 
-# pycocotools 2.0.11 has an array type from before NumPy 2.
+# An array type of pycocotools 2.0.11 is older than NumPy 2, which warns about it.
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 @pytest.mark.slow
 def test_a_detector_of_another_library_is_trained_and_detects_boxes(tmp_path):
-    """Without rfdetr, which is rarely installed, the example says that it is missing."""
+    """If rfdetr is not installed, which is usual, the example reports that it is missing."""
     pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
     write_shapes(tmp_path / "shapes", 10)
     done = subprocess.run(

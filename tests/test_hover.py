@@ -1,4 +1,4 @@
-"""Types of public arrays as an editor shows them, by the language server of Pyright."""
+"""The types of public arrays that an editor shows, from the language server of Pyright."""
 
 import inspect
 import json
@@ -17,17 +17,17 @@ import graycast as gc
 from graycast.base import array_types
 
 ROOT = Path(__file__).resolve().parents[1]
-LONGEST_S = 120.0  # The server answers in a few seconds, or else is ended after this time.
+LONGEST_S = 120.0  # time after which the server is ended; it normally answers in seconds
 
 
 def array_name(kind):
-    """Return the name that array_types gives to a type of jaxtyping: its dtype, then its axes."""
+    """Return the name in array_types for a type of jaxtyping: its dtype, then its axes."""
     axes = kind.dim_str.replace("*n", "any").replace(" ", "_")
     return f"{kind.__name__.partition('[')[0]}Array_{axes}"
 
 
 def arrays_in(hint):
-    """Return the names of all arrays in an annotation, such as in a union or a list of types."""
+    """Return the names of all arrays in an annotation, also in a union or a list of types."""
     assert hint is not np.ndarray and "ndarray" not in (hint if isinstance(hint, str) else "")
     if hasattr(hint, "dim_str"):
         return {array_name(hint)}
@@ -40,7 +40,7 @@ def annotations(function):
 
 
 def values_in(hint):
-    """Return the classes with the decorator `public_value` in an annotation."""
+    """Return the classes in an annotation that have the decorator `public_value`."""
     if inspect.isclass(hint) and hint.__module__.startswith("graycast."):
         return {hint} if hasattr(hint.__init__, "__wrapped__") else set()
     return set().union(*map(values_in, hint if isinstance(hint, list) else get_args(hint)))
@@ -62,7 +62,7 @@ def hints_of(kind):
 def public_arrays():
     """Return the arrays of each public attribute, method and function, by its expression.
 
-    The classes of values that public ones contain, and that public functions return, are public.
+    Classes that public classes contain and that public functions return are public as well.
     """
     public = {f"gc.{name}": getattr(gc, name) for name in gc.__all__}
     functions = {name: one for name, one in public.items() if inspect.isfunction(one)}
@@ -93,7 +93,7 @@ def receive(server):
 
 
 def answers(server, requests):
-    """Send requests, and return their results in order; meanwhile answer the server's questions."""
+    """Send requests and return their results in order; answer the server's own requests."""
     for number, (method, params) in enumerate(requests):
         send(server, {"id": number, "method": method, "params": params})
     results = {}

@@ -1,4 +1,4 @@
-"""Test the imports of each module against the one table of allowed imports."""
+"""Check the imports of each module against a single table of allowed imports."""
 
 import ast
 import re
@@ -10,8 +10,8 @@ from parsed import nodes_of, tree_of
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "graycast"
 
-# Each room may import from the rooms above it. The docstring of a room gives the order of its
-# modules; those that it does not name come first.
+# A room may import from the rooms above it. The docstring of a room gives the order of its
+# modules; modules that it does not name come first.
 ROOMS = (
     "base",
     "rig",
@@ -27,7 +27,7 @@ ROOMS = (
     "show",
     "cli",
 )
-# These imports are also forbidden, so that no result depends on unrelated inputs.
+# These imports are also forbidden, so that results do not depend on unrelated inputs.
 FORBIDDEN = {
     "rendering": {"world.drop"},
     "camera.sensor": {"world.drop", "rendering"},
@@ -54,17 +54,17 @@ FORBIDDEN = {
         *("cell.generate", "show.report"),
     },
 }
-# The docstrings of rooms with one purpose name few files or none.
+# These modules may use the whole pipeline.
 WHOLE_LINE = {"cell.simulate", "cell.generate", "show.report", "show.live", "cli"}
 MITSUBA = {"rendering", "cli.doctor"}
-# The truth comes from the renderer, so the dataset imports its values but no back end.
+# The truth comes from the renderer, so the dataset imports the renderer's values, but no back end.
 ONLY_VALUES = {"dataset": {"rendering": {"rendering", "rendering.radiance"}}}
 
 
 def modules():
-    """Return each module's dotted name in the package, its file, and if it is an `__init__`.
+    """Yield each module's dotted name in the package, its file, and whether it is an `__init__`.
 
-    `python -m graycast` is no room: it only runs the command line.
+    `__main__.py` is excluded, because it only runs the command line.
     """
     for file in sorted({*SOURCE.rglob("*.py")} - {SOURCE / "__main__.py"}):
         parts = file.relative_to(SOURCE).with_suffix("").parts
@@ -73,7 +73,7 @@ def modules():
 
 @cache
 def import_nodes(file):
-    """Return all import statements of a file, nested ones too."""
+    """Return all import statements of a file, including nested statements."""
     return [node for node in nodes_of(file) if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
@@ -85,7 +85,7 @@ def order_in(room):
 
 
 def imports(name, file, is_folder, nodes=None):
-    """Return the dotted names in the package that a file imports, nested imports too."""
+    """Yield the dotted names in the package that a file imports, including nested imports."""
     package = name if is_folder else name[:-1]
     for node in import_nodes(file) if nodes is None else nodes:
         if isinstance(node, ast.Import):
@@ -106,17 +106,17 @@ def imports(name, file, is_folder, nodes=None):
 
 
 def within(target, places):
-    """Whether a dotted name is one of the places or is inside one."""
+    """Return whether a dotted name is one of the places, or is inside one of them."""
     return any(".".join(target[: place.count(".") + 1]) == place for place in places)
 
 
 def of(name, table):
-    """Return the entries of a table for a module, its folder and its room together."""
+    """Return all entries of a table for a module, for its folder and for its room."""
     return set().union(*(table.get(".".join(name[:n]), set()) for n in range(1, len(name) + 1)))
 
 
 def broken_arrows(name, targets):
-    """Return the forbidden imports of a module; `graycast/__init__.py` may import all."""
+    """Return the forbidden imports of a module; `graycast/__init__.py` may import everything."""
     if not name:
         return set()
     room = name[0]
@@ -124,7 +124,7 @@ def broken_arrows(name, targets):
     forbidden = of(name, FORBIDDEN)
     wrong = set()
     for target in targets:
-        if not target:  # `graycast` itself is for users; rooms import from rooms.
+        if not target:  # `graycast` itself is for users; rooms must import from rooms.
             wrong.add("graycast")
             continue
         if target[0] == room:
@@ -138,7 +138,7 @@ def broken_arrows(name, targets):
 
 
 def comes_before(first, second):
-    """Whether the second of two modules of a room may import the first."""
+    """Return whether the second of two modules in a room may import the first."""
     order = order_in(second[0])
     one, other = (order.index(n[1]) if n[1:] and n[1] in order else -1 for n in (first, second))
     return one < other or one == other == -1
@@ -154,7 +154,7 @@ def test_every_module_is_in_the_table_of_imports():
 
 
 def test_a_module_imports_only_from_modules_listed_above_it():
-    """One test checks all modules, because a test case for each doubled the time."""
+    """One test checks all modules, because a test case for each module doubled the time."""
     broken = {
         ".".join(name): wrong
         for name, file, is_folder in modules()
@@ -170,11 +170,11 @@ def test_no_modules_import_each_other_in_a_circle():
         targets = set(imports(name, file, is_folder, import_nodes(file)))
         if name:
             graph[name] = {target for target in targets if target and target != name}
-    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+    TopologicalSorter(graph).prepare()  # This raises CycleError, which names the circle.
 
 
 def test_packages_for_real_scanners_share_only_files():
-    """Each task has its own folder; only `twin` may import another one, `realism`."""
+    """Each task has its own folder; only `twin` may import another folder, `realism`."""
     folders = {name[1] for name, _, _ in modules() if name[:1] == ("real",) and name[2:]}
     assert folders == {
         "calibrate",
@@ -194,13 +194,13 @@ def test_packages_for_real_scanners_share_only_files():
 
 
 def test_graycast_lists_all_packages_in_the_order_of_the_table():
-    """The map is the docstring of `graycast/__init__.py`: a line a room."""
+    """The docstring of `graycast/__init__.py` has one line for each room."""
     text = ast.get_docstring(tree_of(SOURCE / "__init__.py"))
     assert tuple(re.findall(r"^    (\w+) {2,}\S.*$", text, re.MULTILINE)) == ROOMS
 
 
 def test_no_package_imports_from_graycast_itself():
-    """`from graycast import Scene` inside the package would hide an arrow from the table."""
+    """Within the package, `from graycast import Scene` would hide an import from the table."""
     for name, file, is_folder in modules():
         package = name if is_folder else name[:-1]
         for node in import_nodes(file) if name else ():
@@ -222,7 +222,7 @@ def test_only_the_named_modules_import_the_whole_pipeline():
 
 
 def test_an_import_that_the_table_forbids_is_detected(tmp_path):
-    """The imports are relative, absolute or nested; their targets are later or forbidden."""
+    """The imports are relative, absolute or nested; their targets are not allowed."""
     file = tmp_path / "wrong.py"
     file.write_text(
         "from ..world.drop import drop\nimport graycast.cli\nfrom ..world import scene\n"
@@ -235,8 +235,8 @@ def test_an_import_that_the_table_forbids_is_detected(tmp_path):
     assert not broken_arrows(("world", "drop", "wrong"), {("world", "scene")})
 
 
-def test_mitsuba_and_drjit_are_imported_inside_render_alone():
-    """Any other import would load them before a device is chosen."""
+def test_mitsuba_and_drjit_are_imported_only_by_allowed_modules():
+    """Any other import would load Mitsuba and Dr.Jit before a device is selected."""
     for name, file, _ in modules():
         if name and within(name, MITSUBA):
             continue

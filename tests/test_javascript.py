@@ -27,7 +27,7 @@ OPTIONS = {
     "noImplicitThis": True,
     "noUnusedLocals": True,
 }
-# These are the scripts of each page, without the one that holds its content.
+# These are the scripts of each page, except the script that contains its data.
 PAGES = {
     "page": (WEB, ("core.js", *page._WEB.scripts, "app.js")),
     "picks": (SOURCE / "show/report/picks/web", ("core.js", *picks._WEB.scripts, "app.js")),
@@ -48,7 +48,7 @@ def run(tool, *arguments):
 
 
 def scripts(name):
-    """Return the scripts of a page: its own, or those of the page of a dataset."""
+    """Return the scripts of a page: its own scripts, and those of the dataset's page."""
     folder, names = PAGES[name]
     return [folder / one if (folder / one).is_file() else WEB / one for one in names]
 
@@ -77,7 +77,7 @@ def test_the_scripts_of_a_page_have_no_type_errors(name, tmp_path):
     ],
 )
 def test_a_wrong_name_or_number_of_arguments_is_detected(right, wrong, tmp_path):
-    """Scripts read without their types would pass the check with any fault."""
+    """If the types were not read, the check would accept any error in the scripts."""
     broken = []
     for path in scripts("page"):
         text = path.read_text(encoding="utf-8")

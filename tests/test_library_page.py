@@ -36,7 +36,7 @@ def test_the_first_lines_on_the_page_make_and_save_a_scene(tmp_path, monkeypatch
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
 def test_the_code_blocks_of_the_page_run_in_order(tmp_path, monkeypatch, capsys):
-    """The blocks run on the demo's files, and later blocks use names of earlier ones."""
+    """The blocks use the demo's files, and later blocks use names of earlier blocks."""
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     assert len(BLOCKS) == 5
@@ -53,7 +53,7 @@ def test_the_page_names_every_example_and_only_existing_names():
     for name in set(re.findall(r"`graycast\.([a-zA-Z_.]+)`", PAGE)):
         module = graycast._MODULE.get(name.split(".")[0], "")
         if module.startswith("learn") and find_spec("torch") is None:
-            continue  # What trains detectors needs PyTorch, which is optional.
+            continue  # The training of detectors needs PyTorch, which is optional.
         value = graycast
         for word in name.split("."):
             value = getattr(value, word)
@@ -67,7 +67,7 @@ OTHERS = re.findall(r"^```python\n(.*?)^```$", ELSEWHERE, re.DOTALL | re.MULTILI
 @pytest.mark.filterwarnings("ignore")  # Warnings of other libraries do not count.
 @pytest.mark.parametrize("library", ["open3d", "trimesh", "torch", "supervision", "rerun"])
 def test_another_library_accepts_the_returned_values(tmp_path, monkeypatch, library):
-    """Each block of the page runs where its library is installed."""
+    """A block of the page runs if its library is installed."""
     pytest.importorskip(
         library, reason=f"needs {library}: run pip install {library}", exc_type=ImportError
     )

@@ -1,6 +1,6 @@
-"""Links of the repository's own pages lead to files and headings that a clone has.
+"""Links on the repository's own pages lead to files and headings that exist in a clone.
 
-The site of a forge shows the same pages, and neither runs `make docs` first.
+Hosts of repositories show these pages without running `make docs`.
 """
 
 import json
@@ -20,14 +20,14 @@ CODE = re.compile(r"(`+)(?!`).+?(?<!`)\1(?!`)", re.DOTALL)
 LINK = re.compile(
     r"\]\(\s*<?([^)\s>]+)>?(?:\s+\"[^\"]*\")?\s*\)|^ *\[[^\]]+\]:\s+(\S+)", re.MULTILINE
 )
-# This finds mentions of pages in comments, errors, help texts and settings.
+# This pattern finds mentions of pages in comments, errors, help texts and settings.
 MENTION = re.compile(r"(?<![\w./-])docs/[\w/-]+\.md(?:#[\w.-]+)?")
-FOREIGN = {"docs/bop_datasets_format.md"}  # It is a page of the BOP toolkit.
+FOREIGN = {"docs/bop_datasets_format.md"}  # This page belongs to the BOP toolkit.
 
 
 @cache
 def files():
-    """Each file that a clone of this working tree would have, by its path."""
+    """Return the paths of all files that a clone of this working tree would have."""
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -36,7 +36,7 @@ def files():
 
 
 class Tags(HTMLParser):
-    """The anchors and the links of the HTML within a page."""
+    """The anchors and the links in the HTML of a page."""
 
     def __init__(self, text):
         super().__init__()
@@ -50,13 +50,13 @@ class Tags(HTMLParser):
 
 
 def links_of(text):
-    """Return what a page links to and shows, without the links in its examples of code."""
+    """Return the targets of a page's links and pictures, without those in its code examples."""
     plain = CODE.sub(" ", FENCE.sub(" ", text))
     return [a or b for a, b in LINK.findall(plain)] + Tags(plain).links
 
 
 def anchors_of(text):
-    """Return the anchors of a page: those of its headings as forges make them, and its own."""
+    """Return the anchors of a page: those of its headings, as hosts make them, and its own."""
     plain = FENCE.sub(" ", text)
     anchors, counts = set(Tags(CODE.sub(" ", plain)).anchors), {}
     for heading in re.findall(r"^#{1,6} +(.+?)(?: +#+)? *$", plain, re.MULTILINE):
@@ -73,7 +73,7 @@ def anchors_in(path):
 
 
 def fault(page, link, paths):
-    """Return what is wrong with a link of a page; empty if it leads somewhere."""
+    """Return the fault of a link on a page; the text is empty if the link works."""
     parts = urlsplit(link)
     if parts.scheme or parts.netloc:
         return ""

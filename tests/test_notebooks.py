@@ -1,6 +1,6 @@
-"""Each notebook of `examples/notebooks` runs, and is stored as it ran.
+"""Each notebook in `examples/notebooks` runs, and is stored with the outputs of its run.
 
-After a change, `.venv/bin/jupyter execute --inplace examples/notebooks/*.ipynb` stores them anew.
+To run and store them: `.venv/bin/jupyter execute --inplace examples/notebooks/*.ipynb`.
 """
 
 import json
@@ -15,13 +15,13 @@ LARGEST_BYTES = 600_000
 
 
 def figures(pattern, text):
-    """The numbers of the only place that fits the pattern."""
+    """Return the numbers of the only place that matches the pattern."""
     (place,) = re.finditer(pattern, text)
     return [float(number) for number in place.groups()]
 
 
 def check_detector(text):
-    """A score lies inside its interval, and the detector finds some of the parts."""
+    """Check that a score is inside its interval, and that the detector finds some parts."""
     assert "errors of the dataset: 0" in text
     for name in ("AP", "AP50"):
         value, low, high = figures(rf"{name} +([\d.]+), interval ([\d.]+) to ([\d.]+)", text)
@@ -30,7 +30,7 @@ def check_detector(text):
 
 
 def check_depth(text):
-    """Both layouts are one, sigma is near the true error, and metal has less depth than card."""
+    """Check that layouts are equal, that sigma fits the error, and that metal has less depth."""
     assert "same layout: True" in text
     assert figures(r"card: median error ([\d.]+) mm", text)[0] < 0.3
     least, largest = figures(r"over stated sigma: ([\d.]+) to ([\d.]+)", text)
@@ -42,14 +42,14 @@ def check_depth(text):
 
 
 def check_stack(text):
-    """A right stack gives depth without a warning, and a wrong one names the change that fits."""
+    """Check that a right stack gives no warning, and that the fault of a wrong stack is named."""
     assert "warnings: none" in text and "the steps run backwards" in text
     assert figures(r"median error ([\d.]+) mm", text)[0] < 0.3
     shares = re.findall(r"^[a-z ]+ ([\d.]+)%$", text, re.MULTILINE)
     assert len(shares) == 9 and sum(map(float, shares)) == pytest.approx(100, abs=0.5)
 
 
-# The number of pictures that each notebook shows, and the check of its text.
+# The number of pictures in each notebook, and the check of its text.
 EXPECTED = {
     "decode_a_stack": (3, check_stack),
     "own_part_to_detector": (2, check_detector),
@@ -58,7 +58,7 @@ EXPECTED = {
 
 
 def check(notebook, name):
-    """Every cell ran once, in order and without an error, and the pictures are there."""
+    """Check that every cell ran once, in order and without an error, and made its pictures."""
     count, check_text = EXPECTED[name]
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
@@ -81,7 +81,7 @@ def test_every_notebook_is_small_and_stored_with_the_outputs_of_its_run():
 @pytest.mark.filterwarnings("ignore")  # Jupyter's warnings do not count.
 @pytest.mark.parametrize("name", EXPECTED)
 def test_every_notebook_runs_without_errors(tmp_path, name):
-    """Beside a copy of the examples' data, where it may write."""
+    """A notebook runs next to a link to the examples' data, in a folder for its output."""
     nbclient = pytest.importorskip("nbclient", reason="needs nbclient: run make extras")
     pytest.importorskip("ipykernel", reason="needs ipykernel: run make extras")
     if name == "own_part_to_detector":

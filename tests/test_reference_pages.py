@@ -29,7 +29,7 @@ def reference():
 
 
 def parsers(parser):
-    """Return the words and the parser of every command."""
+    """Yield the parser of every command, including the given parser."""
     yield parser
     for action in parser._actions:
         if isinstance(action.choices, dict):
@@ -38,7 +38,7 @@ def parsers(parser):
 
 
 def schemas(capsys):
-    """Return the output of `graycast schema` for each kind."""
+    """Yield each kind of `graycast schema` with its output."""
     schema = next(parser for parser in parsers(_parser()) if parser.prog == "graycast schema")
     for kind in next(action.choices for action in schema._actions if action.dest == "kind"):
         options = _parser().parse_args(["schema", kind])
@@ -72,7 +72,7 @@ def test_every_command_has_a_chapter_and_every_flag_an_anchor(reference):
 
 
 def test_every_material_has_a_row_with_its_numbers(reference):
-    """The numbers are read from the table by the names of its columns."""
+    """The numbers are read from the table by the headings of its columns."""
     head, _, *lines = (
         reference.pages()["reference/materials.md"].rpartition("| name")[2].split("\n")
     )
@@ -99,7 +99,7 @@ def test_every_material_has_a_row_with_its_numbers(reference):
 
 
 def test_every_reason_and_every_scanner_setting_has_a_line_in_the_glossary(reference):
-    """Oracle: the annotations of the values themselves, which the page does not read."""
+    """Oracle: the annotations of the classes themselves, which the page does not read."""
     page = html.unescape(reference.pages()["reference/glossary.md"])
     rows = dict(re.findall(r"^\| <a id=\S+></a>(.+?) \| (.+) \|$", page, re.MULTILINE))
     expected = {reason.name.lower().replace("_", " "): reason.meaning for reason in Reason}
@@ -123,7 +123,7 @@ def test_no_page_has_the_same_anchor_twice(reference):
 
 
 def test_the_pages_in_the_repository_equal_the_output_of_the_program(reference):
-    """Otherwise the old name of a key or a flag would stay on the pages of a clone."""
+    """Without this test, an old name of a key or a flag could stay on the pages of a clone."""
     for place, text in reference.pages().items():
         page = SCRIPT.parent / place
         stored = page.read_text(encoding="utf-8") if page.exists() else ""

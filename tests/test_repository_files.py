@@ -1,4 +1,4 @@
-"""The files that hosts and editors read name commands, files and versions that exist."""
+"""Files for hosts and editors name commands, files and versions that exist."""
 
 import json
 import re

@@ -1,7 +1,7 @@
-"""The sentences of the code and the docs: a docstring begins with what the function does.
+"""Check sentences of the code and the docs: a docstring begins with what the function does.
 
-`test_words.py` reads the names; this file reads the sentences. A table lists what is left of an
-older way of writing, and its numbers may only fall.
+`test_words.py` checks names; this file checks sentences. A table counts unwanted phrases that
+remain, and its numbers may only fall.
 """
 
 import re
@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-GENERATED = "<!-- `make reference` writes this page"  # Its words come from the source.
+GENERATED = "<!-- `make reference` writes this page"  # Such a page has the words of the source.
 
 # A docstring begins with a verb ("Return the header of a PLY file.") or, for a property or a class,
 # with a noun. These words begin a clause that has no verb of its own. "Whether" is allowed, because
@@ -17,8 +17,8 @@ GENERATED = "<!-- `make reference` writes this page"  # Its words come from the 
 # The text is searched, because parsing all tests would take ten times as long.
 OPENING = re.compile(r'^ *r?"""(Of|What|Which|As|So many|By|How|Where)\b', re.MULTILINE)
 
-# Words that a technical writer would replace, and their number in the source and in the docs:
-# say "as many as", "others'", "no one", "again", "next to" or "with", "the value that ...".
+# Phrases that a technical writer would replace, and their numbers in the source and in the docs.
+# Write "as many as", "others'", "no one", "again", "next to" or "with", "the value that ...".
 PHRASES_LEFT = {
     "alike": (43, 0),
     "anew": (0, 1),
@@ -78,7 +78,7 @@ def read(file: Path) -> str:
 
 
 def in_one_line(text: str) -> str:
-    """Join the lines of a text, and drop the "#" of a comment that goes on in the next line."""
+    """Join the lines of a text, and drop the "#" of a comment that continues in the next line."""
     return re.sub(r"\s+(?:# )?", " ", text)
 
 

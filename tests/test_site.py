@@ -1,4 +1,4 @@
-"""Test that code blocks of the docs are valid and that the site builds completely."""
+"""Code blocks of the docs are valid, and the site builds completely."""
 
 import html
 import json
@@ -23,7 +23,7 @@ FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 
 
 def blocks(*languages):
-    """Return (page, code) of the fenced blocks in a language, also those inside lists."""
+    """Yield (page, code) for the fenced blocks in some languages, also for blocks inside lists."""
     for page in PAGES:
         for _, language, code in FENCE.findall(page.read_text(encoding="utf-8")):
             if language in languages:
@@ -31,7 +31,7 @@ def blocks(*languages):
 
 
 def commands():
-    """Return each `graycast ...` command of the pages, joined at its backslashes."""
+    """Yield each `graycast ...` command of the pages, with its backslashes joined."""
     for page, code in blocks("sh"):
         for line in code.replace("\\\n", " ").splitlines():
             for command in re.split(r"&&|;|\||>", re.sub(r"(^|\s)#.*", "", line)):
@@ -41,7 +41,7 @@ def commands():
 
 
 def test_every_command_on_the_pages_is_accepted_by_the_parser():
-    """Otherwise the old name of an option would stay on the pages."""
+    """Without this test, an old name of an option could stay on the pages."""
     lines = list(commands())
     assert len(lines) > 40
     for page, words in lines:
@@ -61,7 +61,7 @@ def test_every_python_and_yaml_block_can_be_parsed():
 
 
 def test_every_file_that_a_page_names_exists():
-    """Paths of the repository in code words: examples, configurations, scripts, tests, sources."""
+    """These are paths of the repository in code words: examples, configurations, scripts, ..."""
     named = re.compile(r"`((?:examples|configs|scripts|tests|docs|src)/[\w./-]+\.[a-z]+)`")
     for page in PAGES:
         for path in named.findall(page.read_text(encoding="utf-8")):
@@ -89,7 +89,7 @@ class Links(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """Return the folder of the site, which MkDocs must build without a warning."""
+    """Return the folder of the site, which MkDocs must build without warnings."""
     pytest.importorskip("mkdocs", reason="needs MkDocs: pip install 'graycast[docs]'")
     folder = tmp_path_factory.mktemp("documentation") / "site"
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder]
@@ -100,11 +100,11 @@ def site(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_site_is_built_without_warnings_and_needs_no_network(site):
-    """Every link and anchor leads somewhere; nothing is loaded from elsewhere; no raw equation."""
+    """Every link and anchor leads somewhere, nothing comes from a network, no equation is raw."""
     pages = {
         path.relative_to(site).as_posix(): Links(path.read_text(encoding="utf-8"))
         for path in site.rglob("*.html")
-        if path.name != "404.html"  # The paths of this page start at a server's root.
+        if path.name != "404.html"  # The paths of this page begin at a server's root.
     }
     expected = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in PAGES[2:]}
     assert {path.as_posix() for path in expected} <= set(pages)
@@ -137,7 +137,7 @@ def test_the_site_is_built_without_warnings_and_needs_no_network(site):
     [("settling votes", "reference/"), ("interreflection", "explanation/decoding.html")],
 )
 def test_the_search_field_works_in_a_site_opened_from_the_disk(site, browser, words, expected):
-    """A browser starts no worker and fetches no file there, and nothing may come from a network."""
+    """There, a browser starts no worker and fetches no file; nothing may come from a network."""
     with browser.new_page() as page:
         requests = []
         page.on("request", lambda request: requests.append(request.url))
@@ -155,7 +155,7 @@ def test_the_search_field_works_in_a_site_opened_from_the_disk(site, browser, wo
 
 
 def spec_of(section):
-    """A section of the scanner is made at run time from its dataclass, which the page shows."""
+    """Return the name of the dataclass that the page shows for a section of the scanner."""
     return section.removesuffix("Section") + "Spec"
 
 

@@ -9,7 +9,7 @@ LIST = "# a comment\nany     this machine has a GPU\nextras  needs torch\n"
 
 
 def finished(folder, reason, lacks):
-    """Return the exit status and the last lines of a run in which a test is skipped."""
+    """Return the exit status and the last lines of a run in which one test is skipped."""
     (folder / "skips.txt").write_text(LIST, encoding="utf-8")
     skips = Skips(folder / "skips.txt", lacks)
     skips.pytest_runtest_logreport(

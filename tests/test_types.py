@@ -1,4 +1,4 @@
-"""Code that type checkers of developers and users read; `make test` checks the package itself."""
+"""Type checkers accept the code that developers and users read."""
 
 import ast
 import json
@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def test_the_type_checker_reads_every_module():
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
     assert not any("ignore_errors" in override for override in tool["overrides"])
-    assert tool["exclude"] == ["rendering/cycles/worker/"]  # scripts of Blender's Python
+    assert tool["exclude"] == ["rendering/cycles/worker/"]  # Blender's Python runs these.
     assert tool["check_untyped_defs"] and tool["warn_unused_ignores"]
 
 
@@ -27,7 +27,7 @@ def test_the_package_is_marked_as_typed():
 
 
 def name_of(function):
-    """Return the last name of a called expression, such as `Field` of `pydantic.Field`."""
+    """Return the last name of a called expression, such as `Field` for `pydantic.Field`."""
     return getattr(function, "attr", None) or getattr(function, "id", None)
 
 
@@ -46,7 +46,7 @@ def test_no_default_of_a_field_is_positional():
 # --- what a user writes --------------------------------------------------------------------------
 
 PYTHON_BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-# An editor must underline each of these lines; without that, the checks below prove nothing.
+# An editor must underline each of these lines; otherwise, the checks below prove nothing.
 WRONG = """\
 import graycast as gc
 
@@ -66,7 +66,7 @@ WRONG_LINES = [k for k, line in enumerate(WRONG.splitlines(), 1) if k > 3 and li
 
 
 def python_of(page):
-    """Return the Python code of a page; each line keeps its line number."""
+    """Return the Python code of a page, in which each line keeps its line number."""
     text = page.read_text(encoding="utf-8")
     lines = [""] * (text.count("\n") + 1)
     for block in PYTHON_BLOCK.finditer(text):
@@ -78,7 +78,7 @@ def python_of(page):
 
 @pytest.fixture(scope="module")
 def user_files(tmp_path_factory):
-    """Write all code of the documentation and the examples as modules of a user."""
+    """Write all code of the documentation and of the examples as a user's modules."""
     folder = tmp_path_factory.mktemp("user")
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
         if code := python_of(page):
@@ -92,7 +92,7 @@ def user_files(tmp_path_factory):
 
 
 def refuse_errors(errors):
-    """Refuse errors (file, line, text) in right code, and a wrong line that has none."""
+    """Fail for an error (file, line, text) in correct code, and for a wrong line without one."""
     assert sorted({line for name, line, _ in errors if name == "wrong.py"}) == WRONG_LINES
     assert not [error for error in errors if error[0] != "wrong.py"]
 

@@ -1,4 +1,4 @@
-"""Test the package as users install it: a wheel in a fresh environment makes a scene."""
+"""The package works as users install it: a wheel in a fresh environment makes a scene."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ BUILD = "import sys; from setuptools import build_meta; print(build_meta.build_w
 
 
 def run(command, folder, **environment):
-    """Run a command that sees neither the sources nor this process's settings."""
+    """Run a command without access to the sources and to this process's settings."""
     variables = {key: os.environ[key] for key in ("PATH", "HOME", "LANG") if key in os.environ}
     done = subprocess.run(
         list(map(str, command)),
@@ -31,7 +31,7 @@ def run(command, folder, **environment):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Build a wheel from a copy of a clone, with the back end that pyproject.toml names."""
+    """Build a wheel from a copy of a clone, with the build back end of pyproject.toml."""
     pytest.importorskip("setuptools", minversion="77", reason="needs setuptools 77: see make test")
     copy = tmp_path_factory.mktemp("clone")
     tracked = run(["git", "ls-files", "src", "pyproject.toml", "README.md", "LICENSE"], ROOT)
@@ -46,7 +46,7 @@ def wheel(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_wheel_contains_every_file_of_the_package(wheel):
-    """Templates of the page, Blender's scripts and the marker of types are no Python modules."""
+    """The wheel also has the page's templates, Blender's scripts and the marker of types."""
     tracked = run(["git", "ls-files", "src/graycast"], ROOT).splitlines()
     inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert inside == {name.removeprefix("src/") for name in tracked}
@@ -54,7 +54,7 @@ def test_the_wheel_contains_every_file_of_the_package(wheel):
 
 @pytest.mark.slow
 def test_the_wheel_installed_in_a_fresh_environment_makes_a_scene(wheel, tmp_path):
-    """The dependencies are this environment's, so that nothing is downloaded."""
+    """The dependencies come from this environment, so that nothing is downloaded."""
     run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "fresh"], tmp_path)
     python = tmp_path / "fresh/bin/python"
     here = sysconfig.get_path("purelib")

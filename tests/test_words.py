@@ -11,8 +11,8 @@ from parsed import nodes_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Names that still use a word with another meaning (keys of files, and outcomes in files), and how
-# often each is defined. These numbers may only decrease.
+# Names that still contain an unwanted word (keys and outcomes in files), with the number of their
+# definitions. These numbers may only decrease.
 REMAINING = {
     "COLLISION_SEEN": 1,
     "COLLISION_UNSEEN": 1,
@@ -55,7 +55,7 @@ def unused_words() -> set[str]:
 
 
 def names_with(words: set[str], *folders: str) -> Counter[str]:
-    """Count definitions of names with one of the words in folders, without test names."""
+    """Count the definitions in folders of names with an unwanted word, except test names."""
     files = {file for folder in folders for file in (ROOT / folder).rglob("*.py")}
     names = Counter(name for file in files - {Path(__file__)} for name in defined(nodes_of(file)))
     left = {name for name in names if parts(name) & words and not name.startswith("test_")}

@@ -1,4 +1,4 @@
-"""Scenes for a script equal those of `generate`, in order, with any workers."""
+"""Scenes for a script equal those of `generate`, in order, for any number of workers."""
 
 import subprocess
 import sys
@@ -37,7 +37,7 @@ def test_scenes_saved_by_a_script_equal_the_dataset_of_generate(cell, scenes, tm
 
 
 def test_the_cloud_has_the_points_of_the_pixels_with_depth(scenes):
-    """Each point projects to the centre of its pixel, and its z is the depth there."""
+    """Each point projects to the centre of its pixel, and its z is the depth of this pixel."""
     depth = scenes[0].depth
     row, column = np.nonzero(np.isfinite(depth.depth_m))
     cloud = depth.points()
@@ -78,14 +78,14 @@ def test_a_sheet_is_saved_without_a_viewer(scenes, monkeypatch):
     monkeypatch.setattr(ImageShow, "_viewers", [])
     sheet = scenes[0].sheet()
     assert np.asarray(sheet).std() > 20  # not a uniform colour
-    monkeypatch.setattr(type(scenes[0]), "sheet", lambda scene: sheet)  # drawn once
+    monkeypatch.setattr(type(scenes[0]), "sheet", lambda scene: sheet)  # The sheet is drawn once.
     with pytest.raises(GraycastError, match=r"sheet\.png"):
         scenes[0].show()
 
 
 @pytest.mark.slow
 def test_workers_serve_a_script_without_a_main_guard_and_keep_the_order(cell, scenes, tmp_path):
-    """`spawn` would run the script again in each worker."""
+    """`spawn` would run a script without this guard again in each worker."""
     script = tmp_path / "script.py"
     script.write_text(
         "import graycast as gc\n"
@@ -113,7 +113,7 @@ def test_a_cell_is_read_from_a_file_or_from_values(tmp_path):
 
 
 class PoolWithASlowScene:
-    """Workers that finish scene 0 only when all others are done."""
+    """A pool that finishes scene 0 only after all other submitted scenes."""
 
     def __init__(self, workers):
         self.workers, self.at_work, self.submitted = workers, [], 0
@@ -137,7 +137,7 @@ class PoolWithASlowScene:
 
 @pytest.mark.parametrize("workers", [1, 3])
 def test_scenes_behind_a_slow_one_do_not_accumulate_in_memory(workers):
-    """Symptom: all later scenes, hundreds of MB each, wait for the first one."""
+    """Symptom: all later scenes, hundreds of MB each, wait for the first scene."""
     pool = PoolWithASlowScene(workers)
     order = []
     for (scene_id,) in _in_order(pool, 40):

@@ -3,8 +3,8 @@
 Each package imports only from the packages above it:
 
     grasp            places at which suction cups or jaws can grip a part
-    pose             the pose of a part from a detection and the scanner's depth, and a comparison
-                     of pose and depth (`agreement`)
+    pose             estimation of a part's pose from a detection and the scanner's depth, and how
+                     well a pose agrees with the depth
     pick             a simulated robot that empties a bin
     grasp_labels     grasp labels for the parts in a dataset, with simulated physics
 """

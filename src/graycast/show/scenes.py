@@ -1,4 +1,4 @@
-"""Scenes for a script or a notebook, which can be made one by one, viewed and saved."""
+"""Scenes for a script or a notebook, which can be made one by one, displayed and saved."""
 
 from collections.abc import Iterator
 from contextlib import closing
@@ -52,7 +52,7 @@ class SceneResult:
 
     @property
     def capture(self) -> Capture:
-        """Pictures of the patterns, as the sensor stored them."""
+        """Captured frames, as the sensor stored them."""
         return self.shots[0].capture
 
     @property
@@ -70,10 +70,10 @@ class SceneResult:
         return preview(self.shots[0], self.cell.code)
 
     def show(self) -> None:
-        """Show the sheet in the notebook, or in this machine's picture viewer.
+        """Show the sheet in the notebook, or in this machine's image viewer.
 
         Raises:
-            GraycastError: the machine has no such viewer.
+            GraycastError: the machine has no image viewer.
         """
         if not ImageShow.show(self.sheet(), title=f"scene {self.scene_id}"):
             raise GraycastError(
@@ -100,12 +100,12 @@ def scenes(
 ) -> Iterator[SceneResult]:
     """Make the scenes 0 .. count-1 of a cell, in this order, without writing files.
 
-    The renderer is open from the first scene until the last one or the end of the loop. A worker
-    may be up to two scenes ahead of the loop. For datasets of many scenes use `generate`, which
-    writes each scene at once and retries failed ones.
+    The renderer stays open until the last scene or the end of the loop. A worker process may be up
+    to two scenes ahead of the loop. For datasets of many scenes, use `generate`, which writes each
+    scene at once and retries failed scenes.
 
     Args:
-        seed: seed of all random numbers; None takes the configuration's.
+        seed: seed of all random numbers; None uses the seed of the configuration.
         device: 'auto', 'cpu', 'cuda' or, for Cycles, 'optix'.
 
     Raises:
@@ -128,7 +128,7 @@ def scenes(
 
 def _in_order(pool: Pool, count: int) -> Iterator[tuple[Shot, ...]]:
     finished: dict[int, TaskResult | Failed] = {}
-    submitted, ahead = 0, 2 * max(pool.free, 1)  # This limits the lead if the first scene is slow.
+    submitted, ahead = 0, 2 * max(pool.free, 1)  # This limits the lead if one scene is slow.
     for scene_id in range(count):
         while scene_id not in finished:
             while pool.free and submitted < min(count, scene_id + ahead):

@@ -1,4 +1,4 @@
-"""Seals in closed form, on meshes and on depth; loads by hand."""
+"""Seals on meshes and on depth, and loads, against closed forms."""
 
 import math
 
@@ -28,7 +28,7 @@ def at(x=0.0, y=0.0, z=0.0):
 
 
 def plate(hole_at=None, hole_m=0.003):
-    """Return a plate, 100 mm square, 2 mm thick, with its top at z = 0."""
+    """Return a plate, 100 mm square and 2 mm thick, with its top at z = 0."""
     body = trimesh.creation.box((0.1, 0.1, 0.002))
     body.apply_translation([0, 0, -0.001])
     if hole_at is not None:
@@ -47,13 +47,13 @@ def test_a_cup_seals_on_a_flat_plate_without_strain():
 
 @pytest.mark.parametrize("angle", np.radians([0, 40, 200]))
 def test_a_hole_opens_a_seal_if_it_extends_below_the_cup(angle):
-    """The hole has a radius of 3 mm: its rim is below the cup up to 13 mm from the axis."""
+    """The hole has a radius of 3 mm, so its rim is below the cup up to 13 mm from the axis."""
     for away_m, holds in ((0.0, False), (0.008, False), (0.0125, False), (0.0135, True)):
         hole = away_m * np.array([math.cos(angle), math.sin(angle)])
         lies = seal(CUP, under(plate(hole), at()))
         assert lies.holds == holds, away_m
         if away_m == 0:
-            assert lies.open_share == pytest.approx(0.3**2, rel=0.03)  # of the area
+            assert lies.open_share == pytest.approx(0.3**2, rel=0.03)  # ratio of the areas
 
 
 def test_a_blind_hole_under_the_cup_does_not_open_the_seal():
@@ -74,9 +74,9 @@ def test_an_edge_inside_the_lip_opens_the_seal(away_m, holds):
 @pytest.mark.parametrize(
     ("gap", "open_share"),
     [
-        ((3, -2), 1 / 1257),  # nodes within 20 steps, as Gauss counted them
-        ((0, 20), 1 / 32),  # one of the lip's 32 points is on it
-        ((21, 0), 1 / 32),  # next to one of them, the ground is unknown
+        ((3, -2), 1 / 1257),  # number of nodes within 20 steps (Gauss's circle problem)
+        ((0, 20), 1 / 32),  # One of the lip's 32 points is at the gap.
+        ((21, 0), 1 / 32),  # The gap is next to one of these points, whose height is then unknown.
         ((22, 0), 0),
     ],
 )
@@ -90,7 +90,7 @@ def test_an_unmeasured_point_below_a_cup_opens_its_seal(gap, open_share):
 
 @pytest.mark.parametrize("slope", [(0.1, 0.0), (0.0, -0.08), (0.06, 0.06)])
 def test_a_cup_tilted_with_the_surface_has_no_strain(slope):
-    """Tilted the other way, it has the strain of twice the slope: by the lip's lowest point."""
+    """A cup that is tilted the other way has the strain of twice the slope, at its lowest point."""
     y, x = np.mgrid[-25:26, -25:26] * 0.5e-3
     patch = Patch(height_m=slope[0] * x + slope[1] * y, step_m=0.5e-3)
     lean = np.array([slope, (0.0, 0.0), (-slope[0], -slope[1])])
@@ -101,14 +101,14 @@ def test_a_cup_tilted_with_the_surface_has_no_strain(slope):
 
 
 def sphere_strain(radius_m):
-    """All of the lip is lower by one sag: only the cone's springs are stretched."""
+    """Return the strain on a sphere: the lip sinks evenly, so only the cone's springs stretch."""
     r, h = CUP.radius_m, CUP.height_m
     sag = radius_m - math.sqrt(radius_m**2 - r**2)
     return math.hypot(r, h + sag) / math.hypot(r, h) - 1
 
 
 def cylinder_strain(radius_m):
-    """Return the strain of the lip's springs in a saddle, from points of known height."""
+    """Return the strain of the lip's springs on a cylinder, from points of known height."""
     around = 2 * np.pi * np.arange(32) / 32
     x, y = CUP.radius_m * np.cos(around), CUP.radius_m * np.sin(around)
     z = np.sqrt(radius_m**2 - y**2) - radius_m
@@ -135,7 +135,7 @@ def test_a_seal_opens_at_the_curvature_radius_of_the_closed_form(shape):
 
 
 def test_measured_depth_and_the_true_surface_give_the_same_seal():
-    """A sphere of 40 mm in a camera, with depth in closed form; the tool is tilted."""
+    """A camera sees a sphere of 40 mm, with depth in closed form; the tool is tilted."""
     center_m, radius_m = np.array([0.0, 0.0, 0.5]), 0.04
     y, x = np.mgrid[:160, :200].astype(float)
     ray = rays(CAMERA, np.stack([x, y], axis=-1))
@@ -155,7 +155,7 @@ def test_measured_depth_and_the_true_surface_give_the_same_seal():
     open_share = seal(
         CUP, patch_of_depth(holed, CAMERA, T_cam_tool, radius_m=0.011, step_m=STEP_M)
     ).open_share
-    # The six triangles at a pixel have three pixels' area, each of 0.46 m / 600 px a side.
+    # The six triangles at a pixel cover three pixels' area; a pixel's side is 0.46 m / 600.
     pixel_m = T_cam_tool[2, 3] / CAMERA.fx_px
     assert open_share == pytest.approx(3 * pixel_m**2 / (math.pi * CUP.radius_m**2), rel=0.15)
 
@@ -177,11 +177,11 @@ PULL_N = 50e3 * math.pi * 1e-4  # 15.7 N
 @pytest.mark.parametrize(
     ("force_n", "point_m", "limit"),
     [
-        ((0, 0, -1), (0, 0, -0.05), PULL_N),  # hangs straight below
-        ((0, 0, 1), (0, 0, -0.05), math.inf),  # pressed on
+        ((0, 0, -1), (0, 0, -0.05), PULL_N),  # The part hangs straight below.
+        ((0, 0, 1), (0, 0, -0.05), math.inf),  # The load presses the part on.
         ((0, 0, -1), (0.01, 0, 0), 1 / (1 / PULL_N + 0.01 / (PULL_N * 0.005))),  # off the axis
-        ((1, 0, 0), (0, 0, 0), 0.4 * PULL_N),  # pushed across
-        ((1, 0, 0), (0, 0, -0.05), PULL_N * 0.005 / 0.05),  # held sideways: tilts first
+        ((1, 0, 0), (0, 0, 0), 0.4 * PULL_N),  # across the axis
+        ((1, 0, 0), (0, 0, -0.05), PULL_N * 0.005 / 0.05),  # Held sideways, the part tilts first.
         ((1, 0, 0), (0, 0.01, 0), 0.4 * PULL_N / math.sqrt(2)),  # across and about the axis
     ],
 )
@@ -191,9 +191,9 @@ def test_the_limit_of_a_load_agrees_with_a_hand_calculation(force_n, point_m, li
 
 
 def test_the_load_of_a_tilted_cup_agrees_with_forces_at_points_of_a_ring():
-    """Oracle: the largest factor by bisection on forces at a ring of 720 points.
+    """Oracle: the largest factor, by bisection, for which forces exist at 720 points of a ring.
 
-    The ring's pressure is N / (2 pi r) + M cos / (pi r^2); sliding takes the limit of the whole.
+    The ring's pressure is N / (2 pi r) + M cos / (pi r^2). The ring slides as a whole.
     """
     rng = np.random.default_rng(3)
     around = 2 * np.pi * np.arange(720) / 720

@@ -1,4 +1,4 @@
-"""The command for grasp labels of a dataset: continued, refused, and validated."""
+"""The command for grasp labels of a dataset: it continues a run, refuses errors, and validates."""
 
 import json
 import shutil
@@ -17,7 +17,7 @@ CUP = {"kind": "suction", "cup": {"radius_m": 0.008}, "length_m": 0.2, "tube_m":
 
 @pytest.fixture(scope="module")
 def original(robots, tmp_path_factory, mitsuba_renderer):
-    """Make a dataset of two scenes of a user's mesh, its configuration, and a tool's file."""
+    """Make a dataset with two scenes of a user's mesh, its configuration, and a tool's file."""
     folder = tmp_path_factory.mktemp("labels")
     assert main(["generate", str(write_cell(folder)), "--out", str(folder / "ds")]) == 0
     write_tool(folder, CUP)
@@ -65,7 +65,7 @@ def test_labels_do_not_depend_on_interruptions_or_the_number_of_workers(folder):
     assert label(folder) == 0
     whole = labels(folder)
     (folder / "ds/grasps/suction/train/000001.json").unlink()
-    for left in (".tmp-grasps.json-dead", "train/.tmp-000001.json-dead"):  # left by a killed run
+    for left in (".tmp-grasps.json-dead", "train/.tmp-000001.json-dead"):  # of a killed run
         (folder / "ds/grasps/suction" / left).write_bytes(b"half")
     assert label(folder) == 0
     assert labels(folder) == whole

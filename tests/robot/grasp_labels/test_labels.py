@@ -1,4 +1,4 @@
-"""Labels of plates for which a hand calculation is known; and labels of a dataset."""
+"""Labels of plates against hand calculations, and refused inputs."""
 
 import math
 
@@ -60,7 +60,7 @@ def suction(robots):
 
 
 def test_a_changed_bin_is_refused(tmp_path, monkeypatch):
-    """Otherwise the labels of a continued run would be of two bins."""
+    """Without this check, the labels of a continued run would belong to two bins."""
     parts = [{"builtin": "toothpaste"}]
     config = Config(rig="paper", parts=parts, bin={"mesh": "bin.stl", "unit": "mm"})
     (tmp_path / "bin.stl").write_text("a bin")
@@ -115,18 +115,18 @@ def ended(world, heap, grip, number=0):
 
 
 def tilt_limit_m(load_n):
-    """At a distance d from the centre of mass, the load tilts if load d > (pull - load) r / 2."""
+    """Return the distance d at which the load tilts the cup: load d = (pull - load) r / 2."""
     return (CUP.pull_n - load_n) * CUP.radius_m / 2 / load_n
 
 
 @pytest.mark.slow
 def test_a_plate_is_held_at_its_centre_and_lost_beyond_the_tilt_limit(suction):
-    """At rest, the force is its weight; at the start, 1.5 times as much."""
+    """The force at rest is the weight; at the start of the lift, it is 1.5 times the weight."""
     weight_n = MASS_KG * GRAVITY_M_S2
     heap = heap_of(lying())
     centre = ended(suction, heap, on_top())
     assert centre.success
-    # This is the load at constant acceleration, which the spring slightly exceeds at the start.
+    # This is the load at constant acceleration; the spring exceeds it slightly at the start.
     most_n = (1 + CARRIED_M_S2 / GRAVITY_M_S2) * weight_n
     assert centre.least_factor == pytest.approx(CUP.pull_n / most_n, rel=0.15)
     assert ended(suction, heap, on_top(0.6 * tilt_limit_m(most_n))).success
@@ -145,7 +145,7 @@ def test_a_cup_over_the_edge_or_over_a_neighbour_s_edge_does_not_seal(suction):
 
 @pytest.mark.parametrize(("stroke_m", "ending"), [(0.015, "other part"), (0.005, None)])
 def test_a_grip_on_a_covered_part_is_labelled_as_a_failure(robots, stroke_m, ending):
-    """A plate of 10 mm is on a plate: it is met if the cup's stroke allows it, else a collision."""
+    """Another plate of 10 mm covers the plate: the cup touches it within its stroke or collides."""
     world = world_of(SUCTION.model_copy(update={"stroke_m": stroke_m}))
     two = heap_of(lying(), lying(z=1.5 * SIDES_M[2] + 2 * SKIN_M))
     label = _label(world, two, around(world, two), 0, on_top())
@@ -157,7 +157,7 @@ def test_a_grip_on_a_covered_part_is_labelled_as_a_failure(robots, stroke_m, end
 
 @pytest.mark.slow
 def test_an_unknown_weight_on_a_part_makes_the_cup_lose_the_part(robots):
-    """At 25 mm from the centre, 0.18 Nm load a cup that holds 0.26 Nm; a second plate adds 0.5."""
+    """At 25 mm from the centre, the moment is 0.18 Nm of 0.26 Nm; a second plate adds 0.5 Nm."""
     world = world_of(SUCTION.model_copy(update={"cup": Cup(radius_m=0.015, height_m=0.015)}))
     beside = on_top(-0.025)
     assert ended(world, heap_of(lying()), beside).success
@@ -187,7 +187,7 @@ def test_jaws_hold_an_upright_plate(robots):
     labels = label_scene(world, heap, Labelling(tool=JAWS, simulate=6), seed=0, scene_id=0)
     tried = [label for label in labels if label.ending is not None]
     assert len(tried) == 6
-    good = [label for label in tried if label.grip.score > 0.9]  # 2 mm of room are two deviations
+    good = [label for label in tried if label.grip.score > 0.9]  # 2 mm clearance are two sigma.
     assert good and all(label.ending.success for label in good)
 
 
@@ -197,7 +197,7 @@ def test_the_lift_has_its_stated_height_and_acceleration():
     assert z[0] == 0 and z[-1] == pytest.approx(0.2, abs=2e-4)
     speed = np.diff(z) / STEP_S
     assert speed.max() == pytest.approx(0.25, rel=1e-6) and speed.min() >= 0
-    # A step in which the acceleration ends has a smaller change.
+    # In the step in which the acceleration ends, the speed changes less.
     assert np.abs(np.diff(speed)).max() / STEP_S <= CARRIED_M_S2 * (1 + 1e-6)
     assert (path[:, :2, 3] == 0).all()
 

@@ -1,4 +1,4 @@
-"""Notes on labels whose scores the simulation confirms, or contradicts."""
+"""Notes on labels whose scores the simulation confirms or contradicts."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from graycast.score.evaluate.intervals import Interval
 
 
 def ranking_of(*counts):
-    """Return the ranking of labels with this many grips in each band, and this many successes."""
+    """Return the ranking of labels with the given (grips, successes) in each band."""
     bands = tuple(
         Band(low=low, high=high, grips=grips, held=successes)
         for (low, high), (grips, successes) in zip(BANDS, counts, strict=True)
@@ -32,8 +32,8 @@ NOTHING = (0, 0)
     ("counts", "notes"),
     [
         ((38, 38), ["38 of 38 grips with score 0 were held"]),
-        ((38, 3), []),  # a few hold although their score is low
-        ((3, 3), []),  # too few to decide: the interval begins at 44 %
+        ((38, 3), []),  # A few grips hold although their score is low.
+        ((3, 3), []),  # There are too few grips to decide: the interval begins at 44 %.
     ],
 )
 def test_grips_that_hold_despite_a_score_of_0_cause_a_note(counts, notes):

@@ -1,4 +1,4 @@
-"""The order of detections: free ones, covered ones, failed ones."""
+"""The order of detections: free parts, covered parts, and parts on which a grip failed."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def square(left, top, size=20):
 
 
 def scene(*plates):
-    """Return a floor at 1 m with plates: outlines with their depths, the later ones on top."""
+    """Return a floor at 1 m with plates: masks with their depths, the later ones on top."""
     depth_m, owner = np.ones((60, 80)), np.full((60, 80), -1)
     for i, (mask, plate_m) in enumerate(plates):
         depth_m[mask], owner[mask] = plate_m, i
@@ -39,17 +39,17 @@ def scene(*plates):
 
 
 def test_the_covered_share_of_an_outline_follows_geometry():
-    """A strip across the middle of a square covers two sides of two rectangles of 20 x 6."""
+    """A strip across a square leaves two rectangles of 20 x 6 and covers one long side of each."""
     strip = np.zeros((60, 80), bool)
     strip[26:34, 5:60] = True
     view, (below, _) = scene((square(20, 20), 0.97), (strip, 0.94))
     share = covered_share(below.mask, view.depth_m)
-    # The window of five pixels also sees the strip from the two rows next to it.
+    # The window of five pixels also reaches the strip from the two rows next to it.
     assert share == pytest.approx((2 * 20 + 4) / (2 * (2 * 20 + 2 * 4)), abs=0.03)
 
 
 def test_all_surfaces_in_the_bin_are_candidates_without_a_detector():
-    """Excluded are the floor, objects outside the walls, and pixels without depth."""
+    """The floor, objects outside the walls, and pixels without depth are excluded."""
     view, (inside, _) = scene((square(30, 20), 0.97), (square(0, 20), 0.90))
     view.depth_m[25, 35] = np.nan
     expected = inside.mask.copy()
@@ -80,7 +80,7 @@ def test_free_detections_are_tried_before_higher_covered_detections():
     strip[18:21, 0:30] = True
     view, (covered, free, top) = scene((square(5, 20), 0.90), (square(50, 20), 0.95), (strip, 0.85))
     groups = ranked([covered, free, top], view)
-    assert groups == [[free], [covered], []]  # the strip is too small compared with the others
+    assert groups == [[free], [covered], []]  # The strip is too small compared with the others.
 
 
 def test_a_place_where_a_grip_failed_is_tried_last():
@@ -114,7 +114,7 @@ def test_the_highest_of_several_grips_with_similar_scores_comes_first():
         (aim(0.0, turn=("x", 0.3)), True, False),
         (aim(0.0, turn=("z", 1.5)), True, True),  # a round cup
         (aim(0.0, turn=("z", 1.5)), False, False),
-        (aim(0.0, turn=("z", 3.1)), False, True),  # jaws have no front
+        (aim(0.0, turn=("z", 3.1)), False, True),  # Jaws have no front side.
     ],
 )
 def test_nearly_equal_grips_are_tried_only_once(other, round_tool, alike):

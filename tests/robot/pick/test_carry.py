@@ -1,4 +1,4 @@
-"""Reasons of a grip that met nothing, and the memory of failed grips."""
+"""Outcomes of grips that fail, and the memory of failed grips."""
 
 from types import SimpleNamespace
 
@@ -49,8 +49,8 @@ def test_a_place_without_a_path_is_remembered_despite_failures_elsewhere():
     assert blocked.gripped(HERE, taken=False).blocked == (NEAR, FAR)
 
 
-# A part whose centre is 50 mm from its origin, another one of its kind next to it, and one of
-# another kind at the grip's pose.
+# The first part has its centre 50 mm from its origin. The second part of the same kind is next to
+# it. The third part, of another kind, is at the grip's pose.
 MIDDLE = np.array([0.05, 0.0, 0.0])
 MESH = Mesh(vertices_m=0.01 * BOX_CORNERS + MIDDLE, faces=box_part(1.0, lambert(0.5)).mesh.faces)
 T_WORLD_CAM = rigid(axis_rotation("x", np.pi), np.array([0.1, 0.0, 0.9]))
@@ -71,7 +71,7 @@ JOINTS = Trajectory(time_s=np.arange(2.0), q=np.arange(12.0).reshape(2, 6))
 def test_a_grip_that_misses_all_parts_is_attributed_to_a_wrong_pose(
     monkeypatch, turn_deg, shift_mm, outcome
 ):
-    """The pose is rotated about the part's centre and shifted; 10 degrees and 5 mm are too much."""
+    """The pose is rotated about the part's centre and shifted; limits are 10 degrees and 5 mm."""
     R = axis_rotation("z", np.radians(turn_deg))
     off = rigid(R, MIDDLE - R @ MIDDLE + [0, 0, shift_mm / 1e3])
     pose = Aim(
@@ -102,7 +102,7 @@ def test_a_grip_that_misses_all_parts_is_attributed_to_a_wrong_pose(
 
 
 def bare(kind, **fields):
-    """Return an object of a class with these fields only."""
+    """Return an object of a class that has only these fields."""
     result = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(result, name, value)
@@ -123,7 +123,7 @@ def bare(kind, **fields):
 def test_a_lift_removes_the_carried_part_and_parts_outside_the_bin(
     monkeypatch, outside, lost_s, error, outcome, detail, left
 ):
-    """Part 1 is gripped; parts outside of the bin and the carried one are removed."""
+    """Part 1 is gripped; the carried part and parts outside the bin are removed."""
     lay = Layout(T_world_part=np.stack(POSES), part_index=np.array([0, 0, 1]))
     world = BinState(layout=lay, numbers=np.arange(3), hand_eye=np.eye(4), q=np.zeros(6))
     cell = SimpleNamespace(

@@ -1,4 +1,4 @@
-"""Robots' cells that cannot work are refused in one line that names the reason."""
+"""Robot cells that cannot work are refused in one line that names the reason."""
 
 import sys
 from types import SimpleNamespace
@@ -104,7 +104,7 @@ def refuses(folder, changes, words):
 
 
 class OneClass:
-    """A detector that finds one part of the only class, and leaves out ids below 0."""
+    """A detector that finds one part of its only class, and omits ids below 0."""
 
     about = SimpleNamespace(names=("part",))
 
@@ -120,9 +120,9 @@ class OneClass:
 def test_a_detector_with_one_class_is_accepted_if_grips_need_no_model(
     robots, tmp_path, monkeypatch, parts
 ):
-    """With one part, its class is this part; with two parts it is unknown, which needs `depth`."""
-    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 20)  # no pose is estimated
-    detect = SimpleNamespace(load_detector=lambda path: OneClass())  # without PyTorch
+    """With one part, the class is this part; with two parts it is unknown, which needs `depth`."""
+    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 20)  # No pose is estimated.
+    detect = SimpleNamespace(load_detector=lambda path: OneClass())  # This avoids PyTorch.
     monkeypatch.setitem(sys.modules, "graycast.learn.detect", detect)
     (tmp_path / "run").mkdir()
     mix = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("box", "crate")[:parts]]

@@ -1,4 +1,4 @@
-"""The order in which grips are tried, what is not tried, and what is recorded."""
+"""The order in which grips are tried, the grips that are not tried, and the recorded outcome."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -24,17 +24,17 @@ from graycast.robot.pose import pose_model
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=300.0, fy_px=300.0, cx_px=79.5, cy_px=59.5)
 LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.6]))
-# The part is 60 x 40 x 30 mm, in the middle of the bin, in a layer as high as itself.
+# The part of 60 x 40 x 30 mm is in the middle of the bin, in a layer of the same height.
 TOP_M = 0.03
 T_CAM_PART = inverse(LOOKING_DOWN) @ rigid(np.eye(3), np.array([0.0, 0.0, TOP_M / 2]))
 EVERYWHERE = np.ones((120, 160), bool)
 TARGET = Candidate(kind=0, score=1.0, mask=EVERYWHERE, T_cam_part=T_CAM_PART)
-# The second grip is on the same face as the first, 20 mm away; the third is elsewhere.
+# The second grip is on the same face as the first, 20 mm away; the third grip is elsewhere.
 FIRST, BESIDE, ELSEWHERE = (np.array([x, 0.0, TOP_M]) for x in (0.0, 0.02, 0.08))
 
 
 def bare(kind, **fields):
-    """Return an object of a class with these fields only."""
+    """Return an object of a class that has only these fields."""
     result = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(result, name, value)
@@ -42,7 +42,7 @@ def bare(kind, **fields):
 
 
 def grips(*scores):
-    """Return upright grips with tips at these three positions."""
+    """Return upright grips with tips at the three positions."""
     places = (FIRST, BESIDE, ELSEWHERE)
     return tuple(
         Grip(T_part_tool=rigid(np.eye(3), place - [0, 0, TOP_M / 2]), score=score)
@@ -52,13 +52,13 @@ def grips(*scores):
 
 @pytest.fixture(scope="module")
 def ready(tmp_path_factory):
-    """Return the data of a choice, without libraries of robots."""
+    """Return the data that a choice needs, without the libraries for robots."""
     folder = tmp_path_factory.mktemp("cell")
     path = write_cell(folder, tool={"kind": "suction"}, picking={"pose": "truth"})
     cell = resolve_pick_cell(load_pick_config(path), folder)
     part = cell.cell.scene.parts[0]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("graycast.robot.pose.closest.CELLS", 20)  # no pose is estimated
+        patch.setattr("graycast.robot.pose.closest.CELLS", 20)  # No pose is estimated.
         model = pose_model(part.mesh, part.symmetry)
     return bare(
         Ready,
@@ -71,7 +71,7 @@ def ready(tmp_path_factory):
 
 
 def like(ready, **changes):
-    """Return the same with other fields, or with other keys of its section `picking`."""
+    """Return `ready` with other fields, or with other keys of its section `picking`."""
     fields = {name: getattr(ready, name) for name in ("cell", "known", "load", "bodies", "robot")}
     words = {name: changes.pop(name) for name in ("knows", "grips") if name in changes}
     config = ready.cell.config
@@ -81,7 +81,7 @@ def like(ready, **changes):
 
 
 def scan(*bumps, lean_rad=0.0):
-    """Return a flat layer, inclined about x, that is higher or lower around some positions."""
+    """Return a scan of a flat layer, inclined about x, that is higher or lower at some places."""
     ray = rays(CAMERA, pixel_grid(120, 160)) @ LOOKING_DOWN[:3, :3].T
     normal = axis_rotation("x", lean_rad)[:, 2]
     depth = normal @ (FIRST - LOOKING_DOWN[:3, 3]) / (ray @ normal)
@@ -101,7 +101,7 @@ def choice_of(ready, view, candidates=(TARGET,), *, tabu=(), blocked=()):
 def reaching(robots, ready, monkeypatch):
     """Choose among the three grips with an arm that reaches only some of them.
 
-    The requests are recorded: the tip's pose, and the height and size of the load.
+    The fixture records the requests: the tip's pose, and the height and size of the load.
     """
     tool = ready.cell.config.tool
     here = Surroundings(
@@ -144,7 +144,7 @@ def test_the_next_scan_starts_with_grips_that_were_not_tried(reaching):
     assert result.outcome is Outcome.UNREACHABLE and places(sought) == [0.0, 0.08, 0.02]
     assert [round(float(place[0]), 6) for place in result.places_m] == places(sought)
     assert places(reaching(ELSEWHERE, blocked=(FIRST,))[1]) == [0.08]
-    assert places(reaching(BESIDE, blocked=result.places_m)[1]) == [0.0, 0.02]  # all of them again
+    assert places(reaching(BESIDE, blocked=result.places_m)[1]) == [0.0, 0.02]  # from the beginning
 
 
 def test_the_number_of_planned_paths_is_limited(reaching):
@@ -166,7 +166,7 @@ def test_no_grip_is_tried_near_a_failed_grip(reaching):
     ],
 )
 def test_no_path_is_planned_if_depth_shows_another_surface(reaching, higher_m, outcome, words):
-    """Next to the centres of all three cups; a difference of 2 mm is allowed."""
+    """The deviation is next to the centres of all three cups; 2 mm are permitted."""
     aside = [(np.array([x, 0, TOP_M]), 0.007) for x in (0.01, 0.07)]
     result, sought = reaching(view=scan(*((place, higher_m) for place in aside)))
     assert result.outcome is outcome and result.detail == words and not sought
@@ -182,7 +182,7 @@ def test_no_path_is_planned_if_the_tool_would_collide_with_the_heap(reaching):
 
 
 def test_a_known_part_is_lifted_above_the_rim_by_its_own_size(reaching):
-    """From the centre of its top it extends 30 mm down, and half its diagonal aside."""
+    """The part extends 30 mm down from the centre of its top, and half its diagonal sideways."""
     ((_, search, round_tool),) = reaching(FIRST)[1]
     assert search.load.below_m == pytest.approx(0.03)
     assert search.load.aside_m == pytest.approx(np.hypot(0.03, 0.02))
@@ -192,8 +192,8 @@ def test_a_known_part_is_lifted_above_the_rim_by_its_own_size(reaching):
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.3])
 def test_an_unknown_part_extends_at_most_down_to_the_floor(reaching, lean_rad):
-    """Oracle: the lowest of all points, within its size of the tip and above the floor, once the
-    tool is upright."""
+    """Oracle: the lowest of all points that are within the part's size of the tip and above the
+    floor, after the tool has become upright."""
     unknown = (Candidate(kind=None, score=1.0, mask=few(9)),)
     view = scan(lean_rad=lean_rad)
     ((tip, search, _),) = reaching(candidates=unknown, view=view, knows="depth", grips=1)[1]
@@ -205,7 +205,7 @@ def test_an_unknown_part_extends_at_most_down_to_the_floor(reaching, lean_rad):
 
 
 def few(pixels):
-    """Return a few detections in the middle of the picture."""
+    """Return a mask of a few pixels in the middle of the picture."""
     mask = np.zeros(EVERYWHERE.shape, bool)
     mask[60, 80 : 80 + pixels] = True
     return mask

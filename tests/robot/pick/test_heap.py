@@ -1,4 +1,4 @@
-"""The measured heap: heights by hand, unseen areas, and its pose."""
+"""The measured heap: heights in closed form, unmeasured areas, and its pose."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ from graycast.world.scene import Bin
 
 BOX = Bin(inner_m=(0.2, 0.16, 0.1))
 CAMERA = Optics(width_px=240, height_px=200, fx_px=400.0, fy_px=400.0, cx_px=119.5, cy_px=99.5)
-# The camera is tilted, so that a depth used as a height would be noticed.
+# The camera is tilted, so that a mistake of depth for height would be noticed.
 T_WORLD_CAM = look_at(np.array([0.1, 0.05, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
 
 
 def depth_of(height_of, T_world_cam=T_WORLD_CAM):
-    """Return z of a surface z = height(x, y) by steps along each ray, independently.
+    """Return z of a surface z = height(x, y) by steps along each ray, an independent method.
 
-    Steps are 2 mm, and 0.2 mm from the last one before the surface.
+    The steps are 2 mm, and then 0.2 mm from the last point above the surface.
     """
     way = rays(CAMERA, pixel_grid(CAMERA.height_px, CAMERA.width_px)) @ T_world_cam[:3, :3].T
     first = np.full(way.shape[:2], 0.35)
@@ -38,7 +38,7 @@ def depth_of(height_of, T_world_cam=T_WORLD_CAM):
 
 
 def block(x, y):
-    """Return a block, 40 mm high, over a quarter that is not the mirror image of another one."""
+    """Return the height of a block, 40 mm high, at a place that no mirror image shares."""
     return np.where((x > 0.02) & (x < 0.07) & (y > 0.01) & (y < 0.05), 0.04, 0.0)
 
 
@@ -82,11 +82,11 @@ def test_a_rim_extends_beyond_the_part_by_the_tool_s_clearance(heap):
 
 def test_an_unmeasured_area_has_the_height_of_the_nearest_measured_area(depth):
     inside = np.zeros(depth.shape, bool)
-    rows, columns = np.nonzero(depth < np.nanmin(depth) + 0.005)  # the block's top
+    rows, columns = np.nonzero(depth < np.nanmin(depth) + 0.005)  # the top of the block
     inside[rows.min() : rows.max(), (columns.min() + columns.max()) // 2 : columns.max() + 20] = 1
     heap = heap_of(np.where(inside, np.nan, depth))
     assert not heap.is_measured.all()
-    # Unseen cells nearer to the seen half of the block than to the floor count as block.
+    # Unmeasured cells that are nearer to the measured half than to the floor belong to the block.
     guessed = ~heap.is_measured
     assert heap.height_m[guessed].max() == pytest.approx(0.04, abs=1e-3)
     assert np.isfinite(heap.height_m).all()
@@ -94,7 +94,7 @@ def test_an_unmeasured_area_has_the_height_of_the_nearest_measured_area(depth):
 
 @pytest.mark.slow
 def test_a_shadow_next_to_a_part_has_the_height_of_the_part():
-    """From far aside, the camera sees nothing for 22 mm behind the block."""
+    """The camera is far to the side, so that it sees nothing for 22 mm behind the block."""
     aside = look_at(np.array([0.35, 0.03, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
     heap = heap_of(depth_of(block, aside), aside)
     shadow_m = 0.04 * (0.35 - 0.02) / (0.5 - 0.04)
@@ -104,7 +104,7 @@ def test_a_shadow_next_to_a_part_has_the_height_of_the_part():
 
 
 def test_a_single_high_pixel_is_ignored_and_a_thin_post_is_not(depth):
-    """A single pixel, and six side by side, are 60 mm above the floor."""
+    """A single pixel, and then six adjacent pixels, are 60 mm above the floor."""
     depth[60, 60] = depth[60, 60] - 0.06
     assert heap_of(depth).height_m.max() < 0.041
     depth[60:62, 60:63] = depth[60, 60]
@@ -124,7 +124,7 @@ def test_a_gripped_part_is_removed_from_the_heap_of_the_planner(heap, depth):
 
 @pytest.mark.slow
 def test_a_part_next_to_a_wall_does_not_become_as_high_as_the_wall():
-    """Depth of walls belongs to the bin; the area of the part is as high as the floor."""
+    """The depth of walls belongs to the bin; next to the part, the heap is as high as the floor."""
     above = look_at(np.array([0.0, 0.0, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
 
     def beside(x, y):
@@ -148,7 +148,7 @@ def test_a_part_next_to_a_wall_does_not_become_as_high_as_the_wall():
     [(0.045, 0.03, True), (-0.045, 0.03, False), (0.045, -0.03, False), (-0.045, -0.03, False)],
 )
 def test_the_planner_receives_the_heap_at_the_right_position(robots, heap, x, y, hit):
-    """A ball 30 mm above the floor overlaps the block, and nothing elsewhere."""
+    """A ball 30 mm above the floor overlaps the block, and overlaps nothing elsewhere."""
     import coal
 
     obstacle = heap_obstacle(heap, np.eye(4))

@@ -1,4 +1,4 @@
-"""Paths of simple arms in closed form, without a library of robots."""
+"""Paths of simple arms in closed form, without the libraries for robots."""
 
 import numpy as np
 import pytest
@@ -37,8 +37,7 @@ def at(x, y, z):
 
 @pytest.mark.parametrize(("aside_m", "smooth"), [(0.0335, True), (0.0310, False), (0.0, False)])
 def test_a_path_on_which_a_joint_would_jump_is_refused(aside_m, smooth):
-    """Near its axis, the arm turns by atan(10 mm / distance) in a step of 10 mm: 0.3 rad at 32.3
-    mm."""
+    """In a step of 10 mm near its axis, the arm turns by atan(10 mm / distance)."""
     arm = Polar()
     start = arm.follow(at(-0.1, aside_m, 0.2), np.zeros(3))
     corners = straight(arm, start, at(0.1, aside_m, 0.2), ())
@@ -62,7 +61,7 @@ class Wrist(Robot):
 
 @pytest.mark.parametrize("below_m", [0.01, 0.1])
 def test_the_acceleration_limit_applies_to_the_end_of_a_long_part(below_m):
-    """At 20 rad/s it moves in a circle: the acceleration is 400 / s^2 times its radius."""
+    """At 20 rad/s, the end moves in a circle: its acceleration is 400 / s^2 times the radius."""
     here = Surroundings(
         T_base_world=np.eye(4), T_flange_tip=T_flange_tip(SuctionTool()), standing=(),
         q_place=np.zeros(1), approach_m=0.06, straight_m_s=0.25, lift_off_m_s=0.05,
@@ -76,7 +75,7 @@ def test_the_acceleration_limit_applies_to_the_end_of_a_long_part(below_m):
 
 
 def test_joint_angles_are_moved_into_the_limits_by_whole_turns():
-    """Law for joints of all ranges: an equivalent angle is in the limits, or none can be."""
+    """Law for joints of all ranges: the result is within the limits if any equivalent angle is."""
     rng = np.random.default_rng(0)
     low, high = -rng.uniform(0.5, 6.0, 2000), rng.uniform(0.5, 6.0, 2000)
     near, q = rng.uniform(low, high), rng.uniform(-9, 9, 2000)

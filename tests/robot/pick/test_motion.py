@@ -1,4 +1,4 @@
-"""Paths: free, in the least time of a closed form, within limits, reproducible by seed."""
+"""Paths are collision-free, take the least time, respect all limits, and depend on the seed."""
 
 from itertools import pairwise
 
@@ -28,7 +28,7 @@ def wall(x, y, z, size):
 
 
 def least_s(angle, speed):
-    """Return the least time of a joint from rest to rest, with or without a phase of full speed."""
+    """Return a joint's least time from rest to rest, with or without a phase of full speed."""
     if angle < speed**2 / ACCELERATION_RAD_S2:
         return 2 * np.sqrt(angle / ACCELERATION_RAD_S2)
     return angle / speed + speed / ACCELERATION_RAD_S2
@@ -51,14 +51,14 @@ def test_no_joint_exceeds_its_speed(ur):
     assert (np.abs(speed) <= ur.speed * 1.01).all()
     gain = np.diff(speed, axis=0) / 0.004
     assert np.abs(gain).max() <= 1.1 * ACCELERATION_RAD_S2
-    # The acceleration changes over its whole range in no less than the rise time.
+    # A change of the acceleration over its whole range takes at least the rise time.
     jerk = np.diff(gain, axis=0) / 0.004
     assert np.abs(jerk).max() <= 1.1 * 2 * ACCELERATION_RAD_S2 / RISE_S
 
 
 @pytest.mark.slow
 def test_the_path_leads_around_a_wall(ur):
-    """From one side of the robot to the other, a wall blocks the direct path."""
+    """A wall blocks the direct path from one side of the robot to the other."""
     start, goal = ur.home.copy(), ur.home.copy()
     start[0], goal[0] = -1.0, 1.0
     between = [wall(-0.49, -0.13, 0.4, (0.3, 0.02, 0.5))]

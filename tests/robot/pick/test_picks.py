@@ -1,4 +1,4 @@
-"""Complete bins of a small cell: the records are consistent, and one seed gives one folder."""
+"""Whole bins of a small cell: records are consistent, and a seed always gives the same folder."""
 
 import json
 import os
@@ -28,7 +28,7 @@ TOOL = {"kind": "suction", "cup": {"radius_m": 0.01}, "length_m": 0.15}
 
 
 def cell_of(folder, **picking):
-    """Return the small cell with a camera that shows poses: 400 x 300 pixels."""
+    """Return the small cell with a camera of 400 x 300 pixels, which suffices for poses."""
     folder.mkdir(exist_ok=True)
     path = write_cell(folder, tool=TOOL, picking={"place_m": [0.0, -0.4, 0.3]} | picking)
     rig = preset_rig("paper")
@@ -43,7 +43,7 @@ def run(path, out, *options):
 
 
 def content(out):
-    """Return every file except the lock and this machine's times."""
+    """Return every file except the lock and the computing times."""
     return {
         str(path.relative_to(out)): path.read_bytes()
         for path in out.rglob("*")
@@ -76,14 +76,14 @@ def test_every_part_is_counted_and_every_attempt_is_recorded(picks):
             if attempt["outcome"] == "picked":
                 assert attempt["part"] in before and attempt["least_factor"] >= 1
                 before -= {attempt["part"]}
-            # The arm ends where parts are released, and its motion takes the recorded time.
+            # The arm ends where it releases parts, and its motion takes the recorded time.
             if moved is not None:
                 assert moved["time_s"][-1] == pytest.approx(attempt["seconds"]["motion"], abs=1e-3)
 
 
 @pytest.mark.slow
 def test_a_robot_with_a_plain_scanner_picks_boxes(picks):
-    """Three boxes with free tops: most grips hold, and removed parts are not detected again."""
+    """For three boxes with free tops, most grips hold, and picked parts are not detected again."""
     summary = summarize(read_episodes(picks[1]))
     assert summary.rate[0] >= 0.7 and summary.taken >= 5
 
@@ -101,7 +101,7 @@ def test_a_finished_run_is_not_repeated_and_a_changed_cell_is_refused(picks, tmp
 
 @pytest.mark.slow
 def test_a_wrong_calibration_makes_grips_fail(robots, tmp_path):
-    """With an error of 40 mm, the tool meets nothing, or another part than planned."""
+    """With an error of 40 mm, the tool touches nothing or another part."""
     path = cell_of(tmp_path, hand_eye_m=0.04, failures=2)
     assert run(path, tmp_path / "out", "--bins", 1) == 0
     summary = summarize(read_episodes(tmp_path / "out"))

@@ -1,4 +1,4 @@
-"""Arms: poses by hand, inverse kinematics, limits, and collisions."""
+"""Arms: poses in closed form, inverse kinematics, limits, and collisions."""
 
 import re
 from xml.etree import ElementTree
@@ -24,13 +24,13 @@ def robot(request, tmp_path_factory):
 
 
 def dh(d, a, alpha, q):
-    """Return the product of Denavit and Hartenberg."""
+    """Return a joint's transform from its Denavit-Hartenberg parameters."""
     turn = rigid(axis_rotation("z", q), np.array([0.0, 0.0, d]))
     return turn @ rigid(axis_rotation("x", alpha), np.array([a, 0.0, 0.0]))
 
 
 def test_the_ur5e_agrees_with_its_maker_s_table(tmp_path):
-    """Oracle: the product of the six transforms of the published table."""
+    """Oracle: the product of the six transforms in the published table."""
     ur = open_robot("ur5e", folder=tmp_path)
     table = [
         (0.1625, 0.0, np.pi / 2), (0.0, -0.425, 0.0), (0.0, -0.3922, 0.0),
@@ -46,14 +46,14 @@ def test_the_ur5e_agrees_with_its_maker_s_table(tmp_path):
 
 def test_a_stretched_diana_is_upright_with_its_flange_facing_down(tmp_path):
     T = open_robot("diana7", folder=tmp_path).flange(np.zeros(7))
-    # The heights of the joints add up; the last joint is beside the arm, looking down.
+    # The lengths between the joints add up; the last joint is next to the arm and points down.
     assert T[2, 3] == pytest.approx(0.2856 + 0.4586 + 0.47702 - 0.0216 - 0.1169)
     np.testing.assert_allclose(T[:3, 2], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(T[:2, 3], [0.065 - 0.0528 - 0.0122 + 0.087, 0], atol=1e-12)
 
 
 def test_a_diana_is_the_product_of_the_published_origins_of_its_joints(tmp_path):
-    """Oracle: the paper's table, each joint turned about x against the joint before."""
+    """Oracle: the table in the paper, in which each joint is rotated about x from the last."""
     diana = open_robot("diana7", folder=tmp_path)
     table = [
         (0, (0, 0, 0.2856)), (-1, (0, 0, 0)), (1, (0, -0.4586, 0)), (-1, (0.065, 0, 0)),
@@ -72,7 +72,7 @@ def test_a_diana_is_the_product_of_the_published_origins_of_its_joints(tmp_path)
 
 @pytest.mark.parametrize("name", ARMS)
 def test_each_link_of_a_built_in_arm_is_a_capsule(name):
-    """Law: the ends of the cylinder are the centres of two spheres of its radius."""
+    """Law: the ends of the cylinder are the centres of two spheres with the same radius."""
     for link in ElementTree.parse(URDF / f"{name}.urdf").getroot().findall("link")[:-1]:
         start, end, tube = link.findall("collision")
         place = [np.array(one.find("origin").get("xyz").split(), float) for one in (start, end)]

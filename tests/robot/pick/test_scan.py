@@ -1,4 +1,4 @@
-"""The depth for the robot: that of the scanner, or of simulators without a scanner."""
+"""The depth that the robot uses: the scanner's, perfect depth, or noisy depth."""
 
 from types import SimpleNamespace
 
@@ -18,7 +18,7 @@ NOWHERE = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int))
 
 
 class Unlit(Renderer):
-    """An inclined plane in light without any pattern: no scanner measures it."""
+    """A renderer of an inclined plane in light without a pattern, which no scanner can measure."""
 
     name, device, denoiser, versions = "unlit", "cpu", "oidn", {}
 
@@ -57,7 +57,7 @@ def scanned(folder, **picking):
 
 def test_the_scanner_does_not_see_surfaces_without_the_pattern(tmp_path):
     scans = scanned(tmp_path)
-    assert np.isnan(scans.depth_m[0]).mean() > 0.98  # noise alone looks like a code in a few pixels
+    assert np.isnan(scans.depth_m[0]).mean() > 0.98  # In a few pixels, noise resembles a code.
     assert scans.all == [8, 8]
 
 
@@ -81,7 +81,7 @@ def test_noisy_depth_has_the_stated_gaussian_noise_and_differs_between_scans(tmp
 
 
 class OneBox:
-    """A detector that finds one part, in the columns 40 to 60."""
+    """A detector that finds one part, in the columns 40 to 59."""
 
     about = SimpleNamespace(names=("box",))
 
@@ -93,7 +93,7 @@ class OneBox:
 
 
 def test_a_detection_has_the_true_pose_of_the_part_with_most_of_its_pixels(tmp_path):
-    """Seven columns show the first part, nine the second, four no part."""
+    """Seven columns of the detection show the first part, nine the second, and four no part."""
     path = write_cell(tmp_path, picking={"pose": "truth"})
     cell = resolve_pick_cell(load_pick_config(path), tmp_path)
     instance = np.full((120, 160), -1)

@@ -1,4 +1,4 @@
-"""Coal's shapes as triangles: on the surface, closed, and of the right volume."""
+"""Triangle meshes of Coal shapes are on the surface, closed, and have the right volume."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def solid(mesh):
     ],
 )
 def test_a_shape_has_the_right_volume_and_centre(shape, volume):
-    """Oracle: closed forms; a circle of n corners has n / 2 pi sin(2 pi / n) of its area."""
+    """Oracle: closed forms; a polygon of n corners has n / (2 pi) sin(2 pi / n) of its circle."""
     mesh = solid(shape_mesh(shape))
     corners = ROUND / (2 * np.pi) * np.sin(2 * np.pi / ROUND)
     assert mesh.is_watertight

@@ -1,4 +1,4 @@
-"""Rates, reasons and pairs of episodes written by hand."""
+"""Rates, reasons and pairs of episodes that are written by hand."""
 
 import cv2
 import numpy as np
@@ -40,7 +40,7 @@ def test_a_part_that_never_moved_is_not_counted_as_gripped():
     assert total.rate == (3 / 5, *wilson(3, 5))
     assert (total.filled, total.taken, total.left, total.spilled, total.cleared) == (6, 3, 2, 1, 1)
     assert total.outcomes["picked"] == 3 and sum(total.outcomes.values()) == 7
-    # 7 scans and motions of 4.5 s, and a second of computing for each.
+    # There are 7 attempts of 4.5 s, each with a second of computing.
     assert total.picks_per_hour == pytest.approx(3600 * 3 / (7 * 4.5))
     assert total.picks_per_hour_here == pytest.approx(3600 * 3 / (7 * 5.5))
 
@@ -92,7 +92,7 @@ def test_runs_are_compared_with_the_first_in_a_table():
 
 @pytest.mark.slow
 def test_every_failure_has_a_colour_and_an_area_in_proportion_to_its_count(tmp_path):
-    """Oracle: in the picture, the areas of the two failures' colours are as 3 to 1."""
+    """Oracle: the areas of the two failures' colours in the plot have the ratio 3 to 1."""
     assert set(COLOR) == set(Outcome) - set(TAKEN)
     outcomes = ["picked"] * 6 + ["lost seal"] * 3 + ["wrong pose"]
     plot_runs({"run": summarize([episode(0, *outcomes)])}, tmp_path / "runs.png")

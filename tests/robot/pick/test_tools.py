@@ -1,4 +1,4 @@
-"""A new gripper needs its class and its name in `tools.py`; no other module names the tools."""
+"""A new gripper needs its class and its name in `tools.py`; no other module may name it."""
 
 import re
 from pathlib import Path
@@ -24,7 +24,7 @@ def files_that_name(tool):
 
 @pytest.mark.slow
 def test_only_the_modules_that_define_and_select_a_tool_name_the_tool():
-    """Settings also name the default tool of a cell."""
+    """The module of the settings also names the default tool of a cell."""
     for tool in TOOLS:
         settings = {PickConfig.__module__} if tool is DEFAULT else set()
         assert set(files_that_name(tool)) == {tool.__module__, Tool.__module__} | settings

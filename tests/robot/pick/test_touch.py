@@ -1,4 +1,4 @@
-"""Contacts of a tool: plates, edges, neighbours and wedges with solutions by hand."""
+"""Contacts of a tool with plates, edges, neighbours and wedges, against closed forms."""
 
 import re
 
@@ -68,7 +68,7 @@ def test_a_cup_over_the_edge_of_a_plate_does_not_seal(plate):
 
 
 def test_a_cup_does_not_seal_on_two_adjacent_plates(plate):
-    """They touch at the same height, but there is a gap between them."""
+    """The plates touch at the same height, but there is a gap between them."""
     poses = [at(-0.04, 0, 0), at(0.04, 0, 0)]
     assert down_on(plate, at(0.004, 0, 0.01), poses).outcome is Outcome.NOT_HELD
     assert down_on(plate, at(0.02, 0, 0.01), poses).part == 1
@@ -80,7 +80,7 @@ def test_a_cup_touches_the_upper_of_two_parts(plate):
 
 
 def test_a_neighbour_collides_with_the_tube(plate):
-    """It is 80 mm high, 12 mm from the axis; the tube's radius is 12 mm."""
+    """The neighbour is 80 mm high and 12 mm from the axis; the radius of the tube is 12 mm."""
     upright = rigid(axis_rotation("y", np.pi / 2), np.array([0.018, 0, 0.04]))
     met = down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), upright])
     assert met.outcome is Outcome.COLLISION_UNSEEN and met.part == 1 and "tube" in met.detail
@@ -106,7 +106,7 @@ def test_jaws_that_close_on_a_bar_centre_the_bar(robots):
 
 @pytest.fixture(scope="module")
 def flanged(robots, tmp_path_factory):
-    """Return a disc of 40 mm with a hub of 20 mm on it, each 12 mm high."""
+    """Return a disc of 40 mm with a hub of 20 mm on it; each is 12 mm high."""
     disc = Manifold.cylinder(12, 20, 20, 48) + Manifold.cylinder(24, 10, 10, 48)
     solid = disc.to_mesh64()
     part = part_of(trimesh.Trimesh(1e-3 * solid.vert_properties[:, :3], solid.tri_verts))
@@ -115,7 +115,7 @@ def flanged(robots, tmp_path_factory):
 
 
 def test_a_grip_is_lost_if_a_finger_meets_a_flange_before_its_pad_meets_the_hub(flanged):
-    """The tips are 1 mm deep in the flange, less than a tool may push aside."""
+    """The tips are 1 mm deep in the flange; a tool may push a part aside by more than this."""
     for z, outcome in ((0.017, PartGrip), (0.015, NoGrip)):
         met = touch(
             JAWS, at(0, 0, z), [flanged], np.eye(4)[None], np.zeros(1, int), opening_m=0.020
@@ -149,7 +149,7 @@ def test_no_grip_with_a_score_of_0_is_held_in_the_simulation(flanged, robots):
 
 def extruded(outline_m):
     """Return a prism over an outline, 40 mm high along z."""
-    # In metres, lengths are near the smallest one that the library distinguishes.
+    # In metres, the lengths would be near the smallest length that the library distinguishes.
     solid = CrossSection([1e3 * np.asarray(outline_m)]).extrude(40.0).to_mesh64()
     return trimesh.Trimesh(1e-3 * solid.vert_properties[:, :3], solid.tri_verts)
 
@@ -162,7 +162,7 @@ def test_the_slope_below_the_pads_equals_that_of_the_wedge(slope):
     part = part_of(extruded(outline))
     aside_m, estimate, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
     assert estimate == pytest.approx(slope, rel=1e-6)
-    # The pad meets the wedge at its thickest point, 0.95 of its radius up.
+    # The pad meets the wedge at its thickest point, 0.95 of the pad's radius above its centre.
     outermost = 0.02 + slope * (0.02 + 0.95 * 0.004)
     assert aside_m == pytest.approx(outermost / 2 - 0.01, abs=1e-9)
 
@@ -173,7 +173,7 @@ def test_surfaces_behind_the_touched_face_do_not_change_the_slope():
     part = part_of(extruded(outline))
     aside_m, slope, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
     assert slope == pytest.approx(0, abs=1e-6) and aside_m == pytest.approx(0, abs=1e-9)
-    # 3 mm farther along, the pad meets only the cut, and slips.
+    # When the pad is 3 mm farther along, it meets only the cut and slips.
     _, slope, _ = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.006, 0.02))
     assert slope == pytest.approx(1, rel=1e-6)
 

@@ -1,4 +1,4 @@
-"""Paths of a pick: their ends, how a part is carried, and the reason if there is none."""
+"""Paths of a pick: their ends, the transport of a part, and the reason if there is no path."""
 
 from itertools import pairwise
 
@@ -31,7 +31,7 @@ def arm(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def here(arm):
-    """The robot's base is the world's origin."""
+    """Return surroundings in which the robot's base is at the world's origin."""
     flat = Surroundings(
         T_base_world=np.eye(4),
         T_flange_tip=T_flange_tip(TOOL),
@@ -51,7 +51,7 @@ def here(arm):
     )  # fmt: skip
 
 
-# The tool is tilted by 20 degrees, above a point in front of the robot.
+# The tool leans by 20 degrees, above a point in front of the robot.
 GRIP = rigid(axis_rotation("y", np.radians(20)), np.array([-0.5, 0.1, 0.05]))
 
 
@@ -75,7 +75,7 @@ def test_the_paths_are_continuous_and_end_at_their_poses(arm, here):
     np.testing.assert_allclose(way.away.q[-1], here.q_place, atol=1e-6)
     at = tip(arm, here, way.down.q[-1])
     np.testing.assert_allclose(at[:3, 3], GRIP[:3, 3], atol=1e-4)
-    np.testing.assert_allclose(at[:3, 2], GRIP[:3, 2], atol=1e-3)  # rotated about its axis only
+    np.testing.assert_allclose(at[:3, 2], GRIP[:3, 2], atol=1e-3)  # rotated only about its axis
     before = tip(arm, here, way.down.q[0])
     np.testing.assert_allclose(before[:3, 3], GRIP[:3, 3] + 0.06 * GRIP[:3, 2], atol=1e-4)
     raised = tip(arm, here, way.up.q[-1])
@@ -85,7 +85,7 @@ def test_the_paths_are_continuous_and_end_at_their_poses(arm, here):
 
 @pytest.mark.slow
 def test_a_tilted_tool_that_cannot_be_raised_becomes_upright_on_its_way_up(arm, here):
-    """While tilted, no rotation of the tool has joint angles at the top; upright, it has."""
+    """No rotation of the leaning tool has joint angles at the top; the upright tool has some."""
     grip = rigid(axis_rotation("y", np.radians(-45)), np.array([-0.5, 0.1, 0.1]))
     raised = rigid(np.eye(3), grip[:3, 3] + [0, 0, 0.3])
     for turn in range(8):
@@ -96,14 +96,14 @@ def test_a_tilted_tool_that_cannot_be_raised_becomes_upright_on_its_way_up(arm, 
     assert isinstance(way, Ways)
     poses = np.stack([tip(arm, here, way.up.at(t)) for t in np.linspace(0, way.up.seconds, 40)])
     off = np.linalg.norm(poses[:, :2, 3] - grip[:2, 3], axis=1)
-    assert off.max() < 0.01 and (np.diff(poses[:, 2, 3]) > -1e-4).all()  # the flange moves straight
+    assert off.max() < 0.01 and (np.diff(poses[:, 2, 3]) > -1e-4).all()  # The path is straight.
     assert (np.diff(poses[:, 2, 2]) > -1e-4).all()  # The tilt decreases.
     np.testing.assert_allclose(poses[-1][:3, 2], [0, 0, 1], atol=1e-3)
 
 
 @pytest.mark.slow
 def test_a_part_is_carried_with_no_more_force_than_its_grip_was_tested_for(arm, here):
-    """The engine's own steps of 2 ms are smoothed over 20: a coarser law would hide spikes."""
+    """The engine's steps (2 ms) are averaged over 20 ms; a longer average would hide spikes."""
     way = ways_of(arm, here)
     for carried in way.loaded:
         time_s = np.arange(0, carried.seconds, 0.002)
@@ -141,7 +141,7 @@ def test_a_distant_pose_is_unreachable(arm, here, grip, outcome, words):
 
 
 def test_a_collision_with_an_object_next_to_the_grip_is_predicted(arm, here):
-    """A post is below the tube, but the start of the straight path is free."""
+    """A post is below the tube, but the start of the straight path is free of collisions."""
     place = GRIP[:3, 3] + 0.05 * GRIP[:3, 2]
     post = Obstacle(name="the heap", shape=coal.Sphere(0.02), T_base_shape=rigid(np.eye(3), place))
     blocked = ways_of(arm, here, heap=post)
@@ -150,7 +150,7 @@ def test_a_collision_with_an_object_next_to_the_grip_is_predicted(arm, here):
 
 @pytest.mark.slow
 def test_a_shelf_above_a_part_stops_the_lift(arm, here):
-    """The free arm and the tip would pass below it; the part would not."""
+    """The arm and the tip without a part would pass below the shelf; with the part they do not."""
     T = inverse(here.T_base_world) @ rigid(np.eye(3), GRIP[:3, 3] + [0, 0, 0.45])
     shelf = Obstacle(name="the heap", shape=coal.Box(0.5, 0.5, 0.02), T_base_shape=T)
     blocked = ways_of(arm, here, heap=shelf, up_m=0.3)

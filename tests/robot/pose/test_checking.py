@@ -1,4 +1,4 @@
-"""Scores of poses by hand: a box covers 40 x 30 pixels, and depth is set pixel by pixel."""
+"""Scores of poses in closed form: a box covers 40 x 30 pixels, and depth is set by the test."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ from graycast.robot.pose.drawing import Canvas, Facets, Window, lens
 
 CAMERA = Optics(width_px=120, height_px=90, fx_px=500.0, fy_px=500.0, cx_px=59.5, cy_px=44.5)
 TOLERANCE_M = 1e-3
-FRONT_M = 0.5  # the front's z, at which a pixel is 1 mm wide
-# The box is 40 x 30 x 10 mm, its front faces the camera, and it is on a floor 10 mm behind.
+FRONT_M = 0.5  # z of the front, at which a pixel is 1 mm wide
+# The box is 40 x 30 x 10 mm. Its front faces the camera, and the floor is 10 mm behind the front.
 HALF_M = np.array([0.020, 0.015, 0.005])
 FACES = box_part(1.0, lambert(0.5)).mesh.faces
 HERE = rigid(np.eye(3), np.array([0.0, 0.0, FRONT_M + HALF_M[2]]))
@@ -43,7 +43,7 @@ def worth(z, inside, *, tight, T=HERE, half_m=HALF_M):
     y, x = np.mgrid[:90, :120].astype(float)
     ray = np.ascontiguousarray(rays(CAMERA, np.stack([x, y], axis=-1))[..., :2])
     part = Facets(BOX_CORNERS * half_m, FACES.copy(), np.zeros(FACES.shape))
-    for array in (ray, *part, z, inside):  # as in a search, which uses the same kernel
+    for array in (ray, *part, z, inside):  # read-only, as in a search
         array.flags.writeable = False
     rows, columns = np.nonzero(inside)
     box = np.array([columns.min(), rows.min(), columns.max(), rows.max()])
@@ -56,14 +56,14 @@ def worth(z, inside, *, tight, T=HERE, half_m=HALF_M):
     ("right", "outline", "expected"),
     [
         (FRONT_M, [PART], 1),
-        (NEARER_M, [PART], 1 / 2),  # inside the outline, nothing is in front of the part
-        (NEARER_M, [LEFT], 1),  # outside it, something hides the part
-        (FARTHER_M, [PART], 1 / 2),  # the ray went through the part
+        (NEARER_M, [PART], 1 / 2),  # In the outline, surfaces in front of the part contradict it.
+        (NEARER_M, [LEFT], 1),  # Outside the outline, something hides the part.
+        (FARTHER_M, [PART], 1 / 2),  # The ray went through the part.
         (FARTHER_M, [LEFT], 1 / 2),
         (np.nan, [PART], 1),
         (np.nan, [LEFT], 1),
-        (FRONT_M, [LEFT], 1 / 2),  # the part extends beyond its outline
-        (FRONT_M, [PART, BESIDE], 2 / 3),  # 600 pixels of the outline without a part
+        (FRONT_M, [LEFT], 1 / 2),  # The part extends beyond its outline.
+        (FRONT_M, [PART, BESIDE], 2 / 3),  # The outline has 600 pixels without a part.
     ],
 )
 def test_a_score_in_an_outline_is_the_share_of_agreeing_pixels(right, outline, expected):
@@ -79,7 +79,7 @@ def test_outline_pixels_outside_the_part_lower_the_score_even_without_depth():
     ("right", "expected"),
     [
         (FRONT_M, 1),
-        # Hidden pixels do not belong to the visible part, whose centre moves by a quarter width.
+        # Hidden pixels are not visible, so the centre of the visible part moves by a quarter width.
         (NEARER_M, 1 / 2 - HIDING / 2 - OFF_CENTRE / 4),
         (FARTHER_M, 0),
         (np.nan, 1 / 2),
@@ -90,7 +90,7 @@ def test_a_score_in_a_box_is_reduced_by_contradicting_pixels(right, expected):
 
 
 def test_a_part_off_the_centre_of_its_box_has_a_lower_score():
-    """A box 10 pixels to the right: 900 pixels inside, 300 outside, off by half its half width."""
+    """The box is 10 pixels to the right: 900 pixels are inside, 300 outside, off by 1/4 width."""
     aside = covered(np.s_[30:60, 50:90])
     expected = (900 + 300 * OUTSIDE) / 1200 - OFF_CENTRE / 4
     assert worth(depth(), aside, tight=False) == pytest.approx(expected)
@@ -98,8 +98,8 @@ def test_a_part_off_the_centre_of_its_box_has_a_lower_score():
 
 @pytest.mark.parametrize("lean_rad", [0.0, 1.05, -1.05])
 def test_a_part_flush_with_a_surface_has_a_lower_score(lean_rad):
-    """Law: all pixels next to it count, even if the surface changes by more than a tolerance per
-    pixel. They are counted in the picture of the checking rasteriser."""
+    """Law: all pixels next to the part count, even if depth changes by more than the tolerance from
+    pixel to pixel. They are counted in a depth map of the checking rasteriser."""
     thin_m = HALF_M * [1, 1, 0.002]
     T = rigid(axis_rotation("y", lean_rad), np.array([0.0, 0.0, FRONT_M]))
     y, x = np.mgrid[:90, :120].astype(float)

@@ -1,4 +1,4 @@
-"""Poses found in depth of the checking rasteriser, which the search does not use."""
+"""Poses from depth maps of the checking rasteriser, which the search does not use."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def depth_of(mesh, T, camera=CAMERA):
 
 
 def scan(mesh, T, *, noise_m=0.0005, lost=0.2, seed=0):
-    """Return a part in front of a floor, with noise along z, holes, and the mask of the part."""
+    """Return a scan of a part in front of a floor, with noise along z and holes, and its mask."""
     rng = np.random.default_rng(seed)
     z = depth_of(mesh, T)
     mask = np.isfinite(z)
@@ -45,7 +45,7 @@ def scan(mesh, T, *, noise_m=0.0005, lost=0.2, seed=0):
 
 
 def heap(mesh, seed):
-    """Return a scan's depth of six parts, five around the first; the part of each pixel; poses."""
+    """Return depth of six parts (five around the first), each pixel's part, poses and shares."""
     rng = np.random.default_rng(seed)
     around = 2 * np.pi * np.arange(5) / 5 + rng.uniform(0, 2 * np.pi)
     aside = [(0.0, 0.0), *(0.038 * np.stack([np.cos(around), np.sin(around)], axis=1))]
@@ -90,7 +90,7 @@ def test_the_pose_of_a_bracket_is_found_from_any_side(bracket, model, seeds):
 
 @pytest.mark.slow
 def test_missing_depth_counts_neither_for_nor_against_a_pose(bracket, model):
-    """Depth lost at a known pose turns visible pixels into unknown ones only."""
+    """Removing depth at a known pose turns visible pixels into unknown pixels only."""
     T = pose(1)
     depth, mask = scan(bracket.mesh, T, noise_m=0.0, lost=0.0)
     estimate = find_pose(model, depth, CAMERA, mask)
@@ -104,7 +104,7 @@ def test_missing_depth_counts_neither_for_nor_against_a_pose(bracket, model):
 
 @pytest.mark.slow
 def test_hidden_pixels_do_not_contradict_a_pose(bracket, model):
-    """A plate is 60 mm in front of a third of the part: those pixels are hidden."""
+    """A plate 60 mm in front of the part hides a third of it."""
     T = pose(2)
     depth, mask = scan(bracket.mesh, T, noise_m=0.0003, lost=0.0)
     columns = np.flatnonzero(mask.any(axis=0))
@@ -139,7 +139,7 @@ def test_the_pose_of_a_part_is_found_in_a_box_without_a_mask(bracket, model):
 
 @pytest.mark.parametrize("seeds", [(0,), pytest.param(range(1, 4), marks=pytest.mark.slow)])
 def test_the_pose_of_a_part_is_found_among_equal_parts(bracket, model, seeds):
-    """The part is found from its mask, and from a box that also contains other parts."""
+    """The part is found in its mask, and in a box that also contains other parts."""
     for seed in seeds:
         depth, owner, places, share = heap(bracket.mesh, seed)
         free = [k for k in range(6) if share[k] >= 0.7]
@@ -155,8 +155,8 @@ def test_the_pose_of_a_part_is_found_among_equal_parts(bracket, model, seeds):
 
 @pytest.mark.slow
 def test_a_rotationally_symmetric_part_is_found_with_the_nearest_rotation(bracket, monkeypatch):
-    """A truncated cone about an axis off its origin: the rotation is that of `near`."""
-    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 30)  # preparation takes an eighth
+    """A truncated cone has its axis off the origin: the result has the rotation of `near`."""
+    monkeypatch.setattr("graycast.robot.pose.closest.CELLS", 30)  # The preparation is faster.
     shape = trimesh.creation.revolve([[0, 0], [0.025, 0], [0.015, 0.03], [0, 0.03]], sections=48)
     shape.apply_translation([0.01, -0.02, 0.0])
     mesh = Mesh(vertices_m=np.array(shape.vertices), faces=np.array(shape.faces))
@@ -173,17 +173,17 @@ def test_no_pose_is_found_from_too_little_depth(bracket, model):
     assert find_pose(model, np.full_like(depth, np.nan), CAMERA, mask).T_cam_part is None
     assert find_pose(model, depth, CAMERA, np.zeros_like(mask)).T_cam_part is None
     assert find_pose_in_box(model, depth, CAMERA, np.array([900.0, 0, 5, 5])).score == 0
-    column = np.array([100.0, 0, 1, 160])  # a box of one column is searched nevertheless
+    column = np.array([100.0, 0, 1, 160])  # A box of one column is searched nevertheless.
     assert find_pose_in_box(model, depth, CAMERA, column).T_cam_part is not None
 
 
 @pytest.mark.slow
 def test_a_symmetric_part_does_not_flip_between_noise_samples(bracket, model):
-    """The bracket looks the same after a half turn; the pose nearest to `near` is returned."""
+    """The bracket looks the same after half a turn; the pose nearest to `near` is returned."""
     T = pose(6)
     scans = [scan(bracket.mesh, T, seed=seed) for seed in (0, 1)]
     first, second = (find_pose(model, *_of(one)).T_cam_part for one in scans)
-    assert np.trace(first[:3, :3].T @ second[:3, :3]) > 2.99  # within 6 degrees
+    assert np.trace(first[:3, :3].T @ second[:3, :3]) > 2.99  # The angle is below 6 degrees.
     for near in (T, T @ bracket.symmetry.discrete[0]):
         T_cam_part = find_pose(model, *_of(scans[0]), near=near).T_cam_part
         assert np.trace(T_cam_part[:3, :3].T @ near[:3, :3]) > 2.99
@@ -217,7 +217,7 @@ def plate(x=0.08, y=0.05, z=0.0005):
 
 @pytest.mark.slow
 def test_the_pose_of_a_flat_plate_is_found_with_a_limited_number_of_pairs():
-    """All its pairs differ only in length; its outline shows its position."""
+    """All pairs of its points differ only in length; only its outline determines its position."""
     mesh = plate()
     turns = [np.diag([-1.0, -1, 1, 1]), np.diag([1.0, -1, -1, 1]), np.diag([-1.0, 1, -1, 1])]
     symmetry = Symmetry(discrete=tuple(turns))
@@ -231,26 +231,26 @@ def test_the_pose_of_a_flat_plate_is_found_with_a_limited_number_of_pairs():
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.12, 0.05, 0.002, -0.001, 0.0)])
 def test_the_fast_rasteriser_agrees_with_the_exact_rasteriser(bracket, model, distortion):
-    """Two programs draw a closed mesh, whose faces turned away are invisible."""
+    """Two programs render a closed mesh, whose faces that point away are invisible."""
     camera = Optics(width_px=200, height_px=160, fx_px=560.0, fy_px=560.0, cx_px=99.5,
                     cy_px=79.5, distortion=distortion)  # fmt: skip
     y, x = np.mgrid[:160, :200].astype(float)
     ray = np.ascontiguousarray(rays(camera, np.stack([x, y], axis=-1))[..., :2])
     z, face = np.empty((160, 200)), np.empty((160, 200), np.int64)
     measured, inside = np.zeros(z.shape), np.zeros(z.shape, bool)
-    for array in (ray, measured, inside):  # as in a search, for which the kernel is compiled
+    for array in (ray, measured, inside):  # read-only, as in a search
         array.flags.writeable = False
     window = Window(lens(camera), ray, 0, 0, measured, inside, True)
     for seed in range(3):
         draw(pose(seed), model.facets, window, Canvas(z, face))
         expected = depth_of(bracket.mesh, pose(seed), camera)
-        assert (np.isfinite(z) != np.isfinite(expected)).sum() <= 2  # on an edge, by rounding
+        assert (np.isfinite(z) != np.isfinite(expected)).sum() <= 2  # Rounding differs on an edge.
         both = np.isfinite(z) & np.isfinite(expected)
         assert (np.abs(z[both] - expected[both]) > 1e-12).sum() <= 2
 
 
 def test_normals_and_noise_of_a_plane_are_measured_correctly():
-    """A slanted plane, ray by ray; then with noise of a known sigma."""
+    """A slanted plane is measured without noise, and then with noise of a known sigma."""
     normal = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
     y, x = np.mgrid[:160, :200].astype(float)
     ray = rays(CAMERA, np.stack([x, y], axis=-1))
@@ -259,7 +259,7 @@ def test_normals_and_noise_of_a_plane_are_measured_correctly():
     inside[60:100, 80:120] = True
     view = crop(z, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
     known = np.isfinite(view.smooth)
-    assert known.sum() >= known.size - 4  # In the corners, windows have too few pixels.
+    assert known.sum() >= known.size - 4  # The windows in the corners have too few pixels.
     np.testing.assert_allclose(view.smooth[known], view.z[known], rtol=1e-9)
     np.testing.assert_allclose(view.normal[known] - normal, 0, atol=1e-7)
     noisy = z + 0.0008 * np.random.default_rng(0).standard_normal(z.shape)

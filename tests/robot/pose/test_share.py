@@ -21,11 +21,11 @@ SCENE = 60  # The constants were chosen with other scenes.
 def test_nearly_all_poses_are_found_from_outlines_and_most_from_boxes(
     mitsuba_renderer,
 ):
-    """A scene of each part with the rig `paper` has 63 instances that are visible to 70 %.
+    """Scenes of three parts with the rig `paper` have 63 instances that are visible to 70 %.
 
-    The stated shares are 99.7 % and 95 %. By chance, 3 of 63 then fail by their outlines once in
-    1000 seeds, and 9 by their boxes once in 200. If every tenth pose by an outline were wrong, 3
-    would fail in 24 of 25 seeds.
+    The stated shares are 99.7 % and 95 %. With these shares, 3 of 63 poses from outlines fail once
+    in 1000 seeds, and 9 of 63 poses from boxes fail once in 200 seeds. If every tenth pose from an
+    outline were wrong, 3 poses would fail in 24 of 25 seeds.
     """
     right = np.array(
         [
@@ -40,7 +40,7 @@ def test_nearly_all_poses_are_found_from_outlines_and_most_from_boxes(
 
 
 def successes(path, renderer):
-    """Whether each instance is within 5 degrees and 3 mm: by its outline, and by its box."""
+    """Yield whether an instance is within 5 degrees and 3 mm, from its outline and from its box."""
     cell = resolve_cell(load_config(path), path.parent)
     shot = make_scene(cell, SCENE, seed=0, renderer=renderer)
     sample, truth, (part,) = shot.sample, shot.rendering.truth, cell.scene.parts

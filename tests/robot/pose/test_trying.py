@@ -1,4 +1,4 @@
-"""Poses tried in a window of depth from the checking rasteriser."""
+"""Trials of poses in a window of depth from the checking rasteriser."""
 
 import numpy as np
 import pytest
@@ -15,13 +15,13 @@ from graycast.robot.pose.trying import Trials
 from graycast.world.parts import Mesh, Symmetry
 
 CAMERA = Optics(width_px=200, height_px=160, fx_px=560.0, fy_px=560.0, cx_px=99.5, cy_px=79.5)
-# Off the camera's axis, so that a shift along a ray is not along z.
+# The part is off the camera's axis, so that a shift along a ray is not along z.
 T = rigid(Rotation.from_euler("xyz", [0.5, 0.3, 0.2]).as_matrix(), np.array([0.06, -0.04, 0.85]))
 
 
 @pytest.fixture(scope="module")
 def block():
-    """40 x 30 x 20 mm."""
+    """Return the model of a block of 40 x 30 x 20 mm."""
     vertices = BOX_CORNERS * [0.02, 0.015, 0.01]
     mesh = Mesh(vertices_m=vertices, faces=box_part(1.0, lambert(0.5)).mesh.faces)
     return pose_model(mesh, Symmetry())
@@ -30,7 +30,8 @@ def block():
 def trials(model, *, tight=True, sigma_m=0.0, hidden=False):
     """Return trials of the block in front of a floor, in its outline or in a box around it.
 
-    An optional cover is 60 mm in front of it, over two of its pixels in each row, at the right.
+    If `hidden` is true, a cover 60 mm in front of the block hides the two rightmost pixels of each
+    row.
     """
     vertices = transform_points(T, model.facets.vertex)
     z = rasterize(vertices, model.facets.face, CAMERA).over(CAMERA)[1]
@@ -51,7 +52,7 @@ def trials(model, *, tight=True, sigma_m=0.0, hidden=False):
 
 @pytest.mark.parametrize("tight", [True, False])
 def test_a_pose_is_shifted_to_the_position_and_the_depth_of_its_detection(block, tight):
-    """From 5 and 4 mm aside and 15 mm too far to half a pixel, which is 0.76 mm wide."""
+    """The pose is 5 and 4 mm aside and 15 mm too far; the limit is half a pixel of 0.76 mm."""
     away = T.copy()
     away[:3, 3] += [0.005, -0.004, 0.015]
     placed = trials(block, tight=tight)[0].placed(away)
@@ -60,15 +61,15 @@ def test_a_pose_is_shifted_to_the_position_and_the_depth_of_its_detection(block,
 
 
 def test_nearly_all_pixels_of_a_noisy_part_count_as_visible(block):
-    """Oracle: 3.5 sigma exclude 0.05 %; for a part without noise the tolerance is this sigma."""
+    """Oracle: 3.5 sigma exclude 0.05 %; the tolerance without noise equals this sigma."""
     tried, covered = trials(block, sigma_m=0.02 * block.diameter_m)
     assert tried.judge(T).number[VISIBLE] > 0.99 * covered
 
 
 @pytest.mark.parametrize(("hidden", "most_m"), [(False, 0.15e-3), (True, 0.76e-3)])
 def test_a_pose_with_a_small_error_is_aligned(block, hidden, most_m):
-    """An error of 1.3 mm at the corners falls to a tenth of a pixel, or to half a pixel where
-    something hides one side, so that the border of that side is not the part's."""
+    """An error of 1.3 mm at the corners falls to a tenth of a pixel. It falls to half a pixel if
+    something hides one side, because the border of this side is not the part's edge."""
     turn = Rotation.from_rotvec(np.radians([1.2, -1.2, 1.0])).as_matrix()
     off = T @ rigid(turn, np.array([0.0007, -0.0005, 0.0005]))
     aligned = trials(block, hidden=hidden)[0].align(off)

@@ -1,4 +1,4 @@
-"""Test the Pareto front, the intervals and the sentence of a study."""
+"""Test the Pareto front, the intervals and the recommendation of a study."""
 
 import math
 from types import SimpleNamespace
@@ -27,7 +27,7 @@ def spec(**words) -> DesignSpec:
 
 
 def placed(setting: Setting) -> Placed:
-    """Return a placed setting with only the cell values that the sentence uses."""
+    """Return a placed setting that has only the values that the recommendation uses."""
     view = SimpleNamespace(distance_m=0.85, tilt_deg=8.0, azimuth_deg=0.0)
     cell = SimpleNamespace(
         config=SimpleNamespace(view=view),
@@ -60,7 +60,7 @@ def row(name: str, shares, *, sigma_m=0.0002, seconds=0.5, feature_m=0.003) -> S
 
 
 def test_settings_are_dominated_exactly_if_they_are_not_on_the_front():
-    """A law of the front, checked by comparing all pairs one by one."""
+    """Law: all pairs of settings are compared one by one."""
     values = np.random.default_rng(5).integers(0, 6, (60, 3)).astype(float)
     front = on_front(values)
     for own, here in zip(values.tolist(), front, strict=True):
@@ -80,8 +80,8 @@ def test_equal_settings_share_the_front_and_a_setting_without_figures_is_not_on_
 
 @pytest.mark.slow
 def test_intervals_contain_the_true_mean_19_times_in_20():
-    """Oracle: the meaning of 95 %; 2000 experiments of 4 normal values have a standard error of
-    0.5 %. A heap that could not be made is left out."""
+    """Oracle: the meaning of 95 %. Over 2000 experiments with 4 normal values, the share has a
+    standard error of 0.5 %. A heap without figures is ignored."""
     rng = np.random.default_rng(2)
     inside = 0
     for _ in range(2000):
@@ -92,7 +92,7 @@ def test_intervals_contain_the_true_mean_19_times_in_20():
 
 
 def test_differences_between_settings_are_computed_for_each_heap():
-    """Heaps differ by far more than the settings do; the difference is the same in each."""
+    """Heaps differ by far more than settings do, but the difference is the same in each heap."""
     heaps = np.array([0.2, 0.4, 0.6, 0.8])
     best, other = row("best", heaps + 0.01), row("other", heaps)
     less = unlike([best, other], best)["other"]
@@ -114,7 +114,7 @@ def test_the_best_setting_measures_most_among_those_that_meet_the_needs():
     assert [meets(needs, one) for one in rows] == [False, False, True, False]
     assert choose(needs, rows) is rows[2]
     just = spec(needs=NeedsSection(sigma_m=0.0002, seconds=0.5, feature_m=0.003))
-    assert meets(just, rows[2])  # The limit itself is allowed.
+    assert meets(just, rows[2])  # A value equal to the limit is allowed.
 
 
 def test_the_summary_names_the_best_rig_and_its_position():

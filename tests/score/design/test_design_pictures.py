@@ -14,7 +14,7 @@ from graycast.score.design import design_tables
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2, slow(25)])
 def test_a_picture_of_a_study_names_settings_without_overlap_and_shows_intervals(tmp_path, count):
-    """Two settings are both named and neither is on an axis; the names of many stay apart."""
+    """Two settings are both named, and neither is on an axis; the names of many do not overlap."""
     rng = np.random.default_rng(2)
     rows = [
         row(f"setting_{i}", rng.uniform(0.4, 0.6, 6), sigma_m=0.0002 + 1e-6 * i, seconds=0.5 + i)

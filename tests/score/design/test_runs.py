@@ -32,7 +32,7 @@ def content(out):
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """A finished study: its file and its folder."""
+    """Return the file and the folder of a finished study."""
     folder = tmp_path_factory.mktemp("study")
     path = write_study(folder, sweeps=SWEEPS)
     assert run(path, folder / "out") == 0
@@ -69,7 +69,7 @@ def test_all_settings_are_scored_at_the_same_points_of_the_same_heaps(study):
 
 
 def test_the_result_of_a_code_does_not_depend_on_other_codes(study, tmp_path):
-    """Codes share rendered light, which must not depend on the other codes of the study."""
+    """Codes share a rendering, which must not depend on the other codes of the study."""
     _, out = study
     path = write_study(tmp_path, sweeps=[{"distance_m": [0.9], "code": ["phase"]}])
     assert run(path, tmp_path / "alone") == 0
@@ -101,7 +101,7 @@ def test_a_killed_study_continues_to_the_same_results(study, tmp_path):
         os.killpg(running.pid, signal.SIGKILL)
         running.communicate()
     assert len(list(tmp_path.glob("out/settings/*/00?.json"))) < 8
-    # The kill may happen while a file is written; this partial file must be removed.
+    # If the run is killed while it writes a file, the next run must remove the partial file.
     (tmp_path / "out/settings/0.9m_phase_one/.tmp-000.json-dead").write_bytes(b"half")
     assert run(path, tmp_path / "out") == 0
     assert content(tmp_path / "out") == content(out)

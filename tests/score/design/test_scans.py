@@ -1,4 +1,4 @@
-"""Settings through light, sensor and decoder, against closed forms."""
+"""Figures of settings after rendering, sensor and decoder, against closed forms."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ PHASE = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
 
 
 def scanned(renderer, scene, layout=ON_THE_FLOOR, *, samples=16, depth=1):
-    """The figures of a scene whose scanner decodes phases and filters nothing."""
+    """Return the figures of a scene for a scanner with phase codes and without filters."""
     scanner = Scanner(rig=scene.rig, code=PHASE, decode=DecodeSpec(max_epipolar_px=0.0))
     dark = replace(scene, environment=Environment(radiance=(0.0, 0.0, 0.0)))
     pattern = scanner.light_code().render(lambda share: np.rint(255 * share).astype(np.uint8))
@@ -37,8 +37,8 @@ def scanned(renderer, scene, layout=ON_THE_FLOOR, *, samples=16, depth=1):
 
 @pytest.mark.slow
 def test_sigma_grows_with_the_square_of_the_distance(mitsuba_renderer):
-    """Oracle: of parallel axes z = f b / d, so sigma_z = z^2 / (f b) sigma_d. The exposure keeps
-    the picture as bright, so that sigma_d, which photons make, is the same at all distances."""
+    """Oracle: for parallel axes, z = f b / d, so sigma_z = z^2 / (f b) sigma_d. The automatic
+    exposure keeps the brightness, so sigma_d (shot noise) is the same at all distances."""
     sigma_m = []
     distances_m = (0.5, 0.7, 1.0)
     for z_m in distances_m:
@@ -51,7 +51,7 @@ def test_sigma_grows_with_the_square_of_the_distance(mitsuba_renderer):
 
 @pytest.mark.slow
 def test_only_surfaces_in_the_shadow_of_a_wall_are_not_measured(mitsuba_renderer):
-    """Oracle: the same triangle as without light; here the decoder found the shadow's end, too."""
+    """Oracle: the same triangle as without rendering; here, the decoder finds the shadow's end."""
     baseline_m, height_m, rim_m = 0.4, 0.8, 0.06
     rig = make_rig(centred(400, 300, 500), centred(900, 700, 600), baseline_m=(baseline_m, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + height_m), rim_m=rim_m)
@@ -65,8 +65,8 @@ def test_only_surfaces_in_the_shadow_of_a_wall_are_not_measured(mitsuba_renderer
 
 @pytest.mark.slow
 def test_the_smallest_feature_is_resolved_and_a_third_of_its_size_is_not(mitsuba_renderer):
-    """Seen: on all 4 pixels at least whose whole area is inside its top, depth is above the plate
-    by more than 3 sigma. A cube of a third of the side covers a pixel at most."""
+    """A cube is resolved if at least 4 pixels are more than 3 sigma above the plate: 4 pixels are
+    entirely inside its top. A third of the side covers at most one pixel."""
     height_m = 0.6
     rig = make_rig(centred(320, 240, 400), centred(800, 600, 700), baseline_m=(0.1, 0, 0))
     bare = plate_in_bin(rig, (-0.05, 0.0, THICK_M + height_m), rim_m=0.0065)
@@ -82,6 +82,6 @@ def test_the_smallest_feature_is_resolved_and_a_third_of_its_size_is_not(mitsuba
         above_m = height_m - depth.depth_m
         raised[share] = int((above_m[truth.instance == 1] > 3 * record["sigma_m"]).sum())
         flat = above_m[truth.instance == 0]
-        assert (flat > 3 * record["sigma_m"]).mean() < 0.01  # Points that stand out are the cube.
+        assert (flat > 3 * record["sigma_m"]).mean() < 0.01  # The higher points are the cube.
     assert raised[1.0] >= 4
     assert raised[1 / 3] <= 2

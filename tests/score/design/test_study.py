@@ -1,4 +1,4 @@
-"""A design study's file: its settings and their cells, and one clear line for each bad one."""
+"""A study's file: its settings and their cells, and a one-line error for each wrong file."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
 
 def write_study(folder: Path, *without: str, cell=None, **changes) -> Path:
-    """A study of the small cell; `cell` changes the cell itself."""
+    """Write a study of the small cell; `cell` changes the cell itself."""
     write_cell(folder, **(cell or {}))
     content = {
         "cell": "cell.yaml",
@@ -72,12 +72,12 @@ def test_settings_that_differ_in_code_or_exposure_share_their_light(tmp_path):
 
 
 def test_the_rig_is_at_the_distance_and_tilt_of_its_setting(tmp_path):
-    """Oracle: the baseline's midpoint has the set distance and tilt, seen from the target."""
+    """Oracle: the baseline's midpoint, which has the set distance and tilt from the target."""
     spec = read_design(write_study(tmp_path, sweeps=[{"distance_m": [0.8], "tilt_deg": [20]}]))
     (placed,) = place_settings(spec, settings_of(spec))
     scene = placed.cell.scene
     middle = transform_points(scene.T_world_cam, scene.rig.T_cam_proj[:3, 3] / 2)
-    away = middle - [0, 0, 0.1 / 3]  # the target: a third of the bin's height
+    away = middle - [0, 0, 0.1 / 3]  # The target is at a third of the bin's height.
     assert np.linalg.norm(away) == pytest.approx(0.8)
     assert np.degrees(np.arccos(away[2] / 0.8)) == pytest.approx(20)
 
@@ -116,7 +116,7 @@ def test_the_committed_study_compares_24_settings():
 
 
 def test_an_impossible_setting_is_left_out_and_named(tmp_path):
-    """A sweep of distances and rigs includes combinations that are impossible."""
+    """A sweep of distances and rigs contains impossible combinations."""
     spec = read_design(write_study(tmp_path, sweeps=[{"distance_m": [0.6, 850, 0.9]}]))
     meter = Metered()
     placed = place_settings(spec, settings_of(spec), progress=meter)

@@ -1,4 +1,4 @@
-"""Test which points of a plate in a bin devices see, against closed forms."""
+"""Test which points of a plate in a bin are visible to devices, against closed forms."""
 
 from dataclasses import replace
 from functools import cache
@@ -42,7 +42,7 @@ ON_THE_FLOOR = Layout(T_world_part=np.eye(4)[None], part_index=np.array([0]))
 
 
 def plate_in_bin(rig: Rig, camera_m, *, rim_m: float) -> Scene:
-    """A plate that covers the floor of a bin, under a camera that looks straight down."""
+    """Return a plate that covers a bin's floor, under a camera that looks straight down."""
     eye = np.array(camera_m, dtype=np.float64)
     return Scene(
         rig=rig,
@@ -63,8 +63,8 @@ def share_of(kinds, surface, which) -> float:
     [(0.03, 0.25, 0.6), (0.08, 0.5, 0.6), (0.03, 0.5, 1.2), (0.08, 0.25, 1.2)],  # all combinations
 )
 def test_the_shadow_of_a_wall_follows_similar_triangles(rim_m, baseline_m, height_m):
-    """Oracle: a projector at x = b, H above the plate, and a rim h high at x = l / 2 leave dark
-    what lies nearer to that wall than h (b - l / 2) / (H - h)."""
+    """Oracle: a projector at x = b and H above the plate, and a rim of height h at x = l / 2,
+    leave a strip of width h (b - l / 2) / (H - h) along this wall dark."""
     rig = make_rig(centred(600, 500, 400), centred(900, 700, 500), baseline_m=(baseline_m, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + height_m), rim_m=rim_m)
     surface = spread_surface(scene, ON_THE_FLOOR, points=POINTS, cone_deg=0.0)
@@ -73,13 +73,13 @@ def test_the_shadow_of_a_wall_follows_similar_triangles(rim_m, baseline_m, heigh
     half_pixel_m = 0.5 * height_m / 500
     assert share_of(view.projector, surface, Visibility.BY_BIN) == pytest.approx(
         dark_m / LENGTH_M,
-        abs=(half_pixel_m + 1e-3) / LENGTH_M,  # and the points' spacing
+        abs=(half_pixel_m + 1e-3) / LENGTH_M,  # half a pixel and the spacing of the points
     )
     assert share_of(view.camera, surface, Visibility.VISIBLE) == 1.0
 
 
 def test_a_place_that_a_wall_hides_from_the_camera_is_not_a_shadow():
-    """The same triangle with camera and projector exchanged."""
+    """The triangle is the same, but camera and projector are exchanged."""
     rig = make_rig(centred(900, 700, 500), centred(600, 500, 400), baseline_m=(0.4, 0, 0))
     scene = plate_in_bin(rig, (-0.4, 0.0, THICK_M + 0.8), rim_m=0.06)
     surface = spread_surface(scene, ON_THE_FLOOR, points=POINTS, cone_deg=0.0)
@@ -106,8 +106,8 @@ def test_a_camera_sees_only_points_in_its_field_of_view(height_m):
 
 @pytest.mark.slow
 def test_points_are_weighted_by_their_area_from_above():
-    """Oracle: under a cone of 0 degrees the weights times the area are the plate's silhouette; its
-    sides and its underside weigh nothing. A wider cone sees its top by the mean cosine."""
+    """Oracle: for a cone of 0 degrees, the sum of weights times the area is the plate's silhouette;
+    its sides and underside have no weight. A wider cone weights the top by the mean cosine."""
     rig = make_rig(centred(600, 500, 400), centred(900, 700, 500))
     scene = plate_in_bin(rig, (0.0, 0.0, 0.8), rim_m=0.0065)
     area_m2 = scene.parts[0].mesh.face_area_m2.sum()
@@ -120,7 +120,7 @@ def test_points_are_weighted_by_their_area_from_above():
 
 
 def test_occlusion_by_a_part_a_bin_and_the_own_back_side_is_distinguished():
-    """A block above the plate throws a shadow of its own size, enlarged by H / (H - h)."""
+    """A block above the plate casts a shadow of its own size times H / (H - h)."""
     height_m, lift_m = 0.9, 0.09
     rig = make_rig(centred(600, 500, 500), centred(900, 700, 500), baseline_m=(0.2, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + height_m), rim_m=0.0065)
@@ -141,7 +141,7 @@ def test_occlusion_by_a_part_a_bin_and_the_own_back_side_is_distinguished():
 
 @pytest.mark.parametrize("lean_rad", [0.0, 0.7, 1.3, 1.5])
 def test_a_convex_part_does_not_hide_faces_towards_the_camera(lean_rad):
-    """A convex body hides none of its faces towards the eye, even very steep ones."""
+    """A convex body does not hide faces that point to the eye, even very steep faces."""
     rig = make_rig(centred(300, 250, 150), centred(900, 700, 500))
     scene = plate_in_bin(rig, (0.1, 0.05, 0.9), rim_m=0.0065)
     turn = np.array([[np.cos(lean_rad), 0, np.sin(lean_rad)], [0, 1, 0]])
@@ -170,12 +170,12 @@ def test_a_small_picture_and_a_large_one_show_the_same_surface():
     assert (first == visibility).mean() > 0.998
 
 
-# --- what became of it -------------------------------------------------------------------------
+# --- fates of points ---------------------------------------------------------------------------
 
 
 @cache
 def plate_in_view(projector_px: int):
-    """Return a plate that both devices see whole, with its surface and the fates of its points."""
+    """Return a plate that both devices see completely, with its surface and its visibility."""
     projector = centred(300, 250, projector_px)
     rig = make_rig(centred(120, 100, 200), projector, baseline_m=(0.05, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + 0.7), rim_m=0.0065)
@@ -214,7 +214,7 @@ def plate_figures(
         (0.0, Reason.DECODED, Fate.MEASURED),
         (0.0049, Reason.DECODED, Fate.MEASURED),
         (-0.0051, Reason.DECODED, Fate.WRONG),
-        (0.0, Reason.SHADOW, Fate.DARK),  # By geometry, light arrives there.
+        (0.0, Reason.SHADOW, Fate.DARK),  # The projector lights this point.
         (0.0, Reason.LOW_MODULATION, Fate.DARK),
         (0.0, Reason.SATURATED, Fate.GLARE),
         (0.0, Reason.CONTRADICTORY, Fate.INTERREFLECTION),
@@ -236,12 +236,12 @@ def test_every_surface_point_has_exactly_one_fate(error_m, reason, fate):
 
 
 def test_sigma_bias_and_feature_follow_from_the_errors():
-    """Oracle: normal errors; the standard error of a quantile's sigma over 12 000 pixels is 1.2 %,
-    of the median 0.0125 sigma."""
+    """Oracle: normal errors. Over 12 000 pixels, the standard error of sigma from quantiles is
+    1.2 %, and that of the median is 0.0125 sigma."""
     record = plate_figures(0.0003, noise_m=0.0004)
     assert record["sigma_m"] == pytest.approx(0.0004, rel=0.05)
     assert record["bias_m"] == pytest.approx(0.0003, abs=2e-5)
-    assert record["pixel_m"] == pytest.approx(0.7 / 200)  # the camera's, coarser than 0.7 / 400
+    assert record["pixel_m"] == pytest.approx(0.7 / 200)  # of the camera, coarser than 0.7 / 400
     assert record["feature_m"] == pytest.approx(3 * 0.7 / 200)
     assert plate_figures(projector_px=100)["pixel_m"] == pytest.approx(0.7 / 100)
 
@@ -299,7 +299,7 @@ def one_point(camera, projector, *, weight=(1.0,)):
 
 
 def test_figures_weight_points_by_their_area_from_above():
-    """Seen weight is 0.7, measured weight 0.5, of which 0.4 is 0.2 mm too far away."""
+    """The visible weight is 0.7 and the measured weight 0.5, of which 0.4 is 0.2 mm too far."""
     surface, view = one_point(VISIBLE, VISIBLE, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
     fates = (Fate.MEASURED, Fate.MEASURED, Fate.DARK, Fate.HIDDEN_BY_PARTS, Fate.MEASURED)
     point_fates = PointFates(

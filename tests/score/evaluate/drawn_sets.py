@@ -1,4 +1,4 @@
-"""Labels and detections to judge: squares by hand, and random sets as COCO's files have them."""
+"""Labels and detections: squares at given places, and random sets in the format of COCO's files."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ IOU_TYPE = {"box": "bbox", "mask": "segm"}
 
 
 def squares(scene_id, places, *, visible=None, obj_id=1, side=8, masked=True):
-    """Labels of squares whose top-left pixels are `places` (x, y)."""
+    """Return labels of squares whose top-left pixels are `places` (x, y)."""
     count = len(places)
     visible = np.ones(count) if visible is None else np.array(visible, float)
     return Labels(
@@ -32,7 +32,7 @@ def squares(scene_id, places, *, visible=None, obj_id=1, side=8, masked=True):
 
 
 def detected_squares(scene_id, places, scores, *, obj_id=1, side=8, masked=True):
-    """Detections of such squares, best first."""
+    """Return detections of such squares, in descending order of score."""
     return Detections(
         scene_id=scene_id,
         score=np.array(scores, float),
@@ -55,9 +55,9 @@ def _masks(places, side):
 
 @dataclass(frozen=True)
 class RandomSet:
-    """Scenes of disks, some hidden, and detections: shifted, doubled, of nothing, of other classes.
+    """Scenes of disks, some hidden, and detections: shifted, repeated, false, of other classes.
 
-    Every second set has scores of one digit, so that many are equal.
+    In every second set, scores have one digit, so that many scores are equal.
     """
 
     labels: list
@@ -84,7 +84,7 @@ class RandomSet:
         return cls(labels, detections)
 
     def coco(self, kind, scenes=None):
-        """Truth and results as COCO's files have them; `scenes` are places, also several times."""
+        """Return truth and results as COCO's files; `scenes` are indices, which may repeat."""
         images, annotations, results = [], [], []
         for image_id, place in enumerate(range(len(self.labels)) if scenes is None else scenes):
             there, detected = self.labels[place], self.detections[place]
@@ -108,7 +108,7 @@ class RandomSet:
                     "score": float(detected.score[i]),
                 }
                 | (
-                    {"segmentation": detected.mask[i]}  # A box would give the box's area.
+                    {"segmentation": detected.mask[i]}  # With a box, its area would be used.
                     if kind == "mask"
                     else {"bbox": detected.box_px[i].astype(float).tolist()}
                 )
@@ -118,7 +118,7 @@ class RandomSet:
         return {"images": images, "annotations": annotations, "categories": classes}, results
 
     def by_pycocotools(self, kind, most=300, areas=None, box_areas=False, scenes=None):
-        """Precision (t, r, classes) and recall (t, classes); -1 where there is no instance."""
+        """Return precision (t, r, classes) and recall (t, classes); -1 without instances."""
         truth = COCO()
         truth.dataset, results = self.coco(kind, scenes)
         for one in truth.dataset["annotations"] if box_areas else ():
@@ -134,7 +134,7 @@ class RandomSet:
 
 
 def figures(precision, recall):
-    """AP, AP50, AP75, AR of what `by_pycocotools` gives; NaN where it has -1 alone."""
+    """Return AP, AP50, AP75 and AR from the result of `by_pycocotools`; NaN where all are -1."""
 
     def mean(values):
         known = values[values > -1]

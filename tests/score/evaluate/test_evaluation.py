@@ -1,4 +1,4 @@
-"""The command graycast detector score: its files, and one clear line for what cannot be judged."""
+"""The command graycast detector score: its files, and a one-line error for each wrong input."""
 
 import csv
 import json
@@ -14,14 +14,14 @@ from graycast.dataset.training import open_examples
 from graycast.score.evaluate import Protocol, Task, evaluate, evaluation_json, summary
 from graycast.score.evaluate.labels import run_lengths_of
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
+# An array type of pycocotools 2.0.11 is older than NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 SCENES = (0, 3, 4, 5)
 
 
 def perfect(dataset, scene_ids=SCENES, masked=True):
-    """The truth as detections; the surer, the more is visible."""
+    """Return the truth as detections, with a higher score for a more visible instance."""
     detections = []
     for scene_id in scene_ids:
         example = open_examples(dataset).read(scene_id)
@@ -65,7 +65,7 @@ def evaluated(*arguments):
 
 
 def evaluation_of(results, on, **options):
-    """Without the files, whose plots take most of the command's time."""
+    """Return an evaluation without its files, whose plots take most of the command's time."""
     task = Task(results=results, dataset=on, protocol=Protocol(draws=20), **options)
     return evaluate(task)[0]
 
@@ -90,7 +90,7 @@ def test_true_labels_as_detections_score_one_in_every_file(master, results, tmp_
         "figures.md",
         "groups.png",
         "precision_recall.png",
-    }  # fmt: skip - no sheets: nothing is missed and nothing is false
+    }  # fmt: skip - There are no sheets, because nothing is missed and nothing is false.
     record = json.loads((out / "evaluation.json").read_bytes())
     for kind in ("box", "mask"):
         first = record["kinds"][kind]["figures"][0]
@@ -123,7 +123,7 @@ def test_missed_parts_and_false_alarms_are_drawn_on_sheets_and_counted(master, t
     assert evaluated(path, "--on", master, "--out", out, "--resamples", 20) == 0
     assert {"misses_box.png", "false_alarms_box.png"} <= {file.name for file in out.iterdir()}
     kinds = json.loads((out / "evaluation.json").read_bytes())["kinds"]
-    assert list(kinds) == ["box"]  # no masks were given
+    assert list(kinds) == ["box"]  # The results have no masks.
     scenes = {scene["scene_id"]: scene for scene in kinds["box"]["scenes"]}
     assert scenes[0]["missed"] > 0 and scenes[0]["false"] > 0
     assert scenes[3] == {
@@ -169,7 +169,7 @@ def test_all_scenes_are_judged_if_a_run_has_all_sets_of_an_export(master, export
 def test_equal_results_differ_by_zero_and_swapped_classes_score_zero(master, results, tmp_path):
     swapped = json.loads(results.read_bytes())
     for entry in swapped:
-        entry["category_id"] = 3 - entry["category_id"]  # the dataset's parts are 1 and 2
+        entry["category_id"] = 3 - entry["category_id"]  # The dataset's parts are 1 and 2.
     other = tmp_path / "swapped.json"
     other.write_text(json.dumps(swapped))
     text = summary(evaluation_of(results, master, kind="mask", against=results))
@@ -269,7 +269,7 @@ def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys
 
 
 def test_written_results_are_read_back_to_the_last_bit(tmp_path):
-    """Scores and edges in single precision are written with as many digits as tell them apart."""
+    """Scores and edges in single precision are written with enough digits to distinguish them."""
     rng = np.random.default_rng(0)
     score = np.sort(rng.random(200, np.float32))[::-1].copy()
     detections = Detections(
@@ -291,7 +291,7 @@ def test_written_results_are_read_back_to_the_last_bit(tmp_path):
 def test_uncompressed_masks_without_boxes_are_read(tmp_path):
     mask = np.zeros((1, 6, 5), bool)
     mask[0, 2:5, 1:4] = True
-    counts = [8, 3, 3, 3, 3, 3, 7]  # down the columns: by hand
+    counts = [8, 3, 3, 3, 3, 3, 7]  # run lengths down the columns, counted by hand
     runs = {"size": [6, 5], "counts": counts}
     path = tmp_path / "results.json"
     path.write_text(

@@ -1,4 +1,4 @@
-"""Intervals over scenes: against copies of scenes, against a known mean, against themselves."""
+"""Intervals over scenes, against copies of scenes, a known mean, and their own definition."""
 
 from dataclasses import astuple, replace
 
@@ -19,7 +19,7 @@ PLACES = [(12 * (i % 5), 12 * (i // 5)) for i in range(15)]
 @pytest.mark.parametrize("kind", ["box", "mask"])
 @pytest.mark.parametrize("seed", [1, 10, 16])
 def test_a_bootstrap_draw_has_the_score_of_pycocotools_for_the_same_scenes(kind, seed):
-    """Return the drawn scenes as separate images; some appear several times."""
+    """Oracle: pycocotools on images that repeat the scenes of the draw."""
     # With even seeds, scores have one digit, and many of them are equal.
     random_set = RandomSet.of_seed(seed)
     scores = score(random_set.labels, random_set.detections, kind=kind)
@@ -32,7 +32,7 @@ def test_a_bootstrap_draw_has_the_score_of_pycocotools_for_the_same_scenes(kind,
 
 
 def bin_of(scene_id, rng, *, share, parts=15):
-    """Return a scene with boxes only, where a share of the parts is found without false alarms."""
+    """Return a scene with boxes only, of which a share is found without false alarms."""
     hits = np.flatnonzero(rng.random(parts) < share)
     score = rng.uniform(0.5, 1, len(hits))
     labels = squares(scene_id, PLACES[:parts], masked=False)
@@ -56,9 +56,9 @@ def test_the_interval_is_reproducible_and_hardly_depends_on_the_seed():
 
 @pytest.mark.parametrize(("scenes", "t"), [(3, 4.303), (5, 2.776), (12, 2.201), (60, 2.001)])
 def test_normal_draws_of_a_mean_have_students_interval(scenes, t):
-    """Oracle: mean +- t s / sqrt(n), t from a printed table; the bootstrap's spread of the mean is
-    s sqrt((n - 1) / n) / sqrt(n). Five standard errors of the quantile of 200,000 draws."""
-    spread = np.sqrt((scenes - 1) / scenes / scenes)  # for s = 1
+    """Oracle: mean +- t s / sqrt(n) with t from a printed table. The spread of bootstrap means is
+    s sqrt((n - 1) / n) / sqrt(n). The tolerance is five standard errors for 200,000 draws."""
+    spread = np.sqrt((scenes - 1) / scenes / scenes)  # s is 1.
     draws = 0.7 + spread * np.random.default_rng(5).standard_normal(200_000)
     limits = interval_of(0.7, draws, scenes)
     half = t / np.sqrt(scenes)
@@ -70,7 +70,7 @@ def test_normal_draws_of_a_mean_have_students_interval(scenes, t):
 
 
 def test_an_estimate_off_centre_of_its_draws_gets_a_bias_corrected_interval():
-    """Oracle: normal draws about `value + b sigma`: the limits are `value - b sigma -+ z sigma`."""
+    """Oracle: draws about `value + b sigma` have the limits `value - b sigma +- z sigma`."""
     draws = 0.6 + 0.05 * stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)
     z = np.sqrt(30 / 29) * stats.t.ppf(0.975, 29)
     for b in (-0.8, 0.0, 0.5):
@@ -88,7 +88,7 @@ def test_an_interval_contains_its_estimate_even_beyond_all_draws(value):
 
 
 def alike(scene_id, rng):
-    """All scores are equal; each scene has its hits first, then up to six false alarms."""
+    """Return a scene with equal scores, in which hits precede up to six false alarms."""
     labels, detections = bin_of(scene_id, rng, share=0.9, parts=8)
     wrong = [(x + 5, y + 5) for x, y in PLACES[: rng.integers(0, 7)]]
     every = [*detections.box_px[:, :2].astype(int).tolist(), *wrong]
@@ -97,7 +97,7 @@ def alike(scene_id, rng):
 
 @pytest.mark.slow
 def test_equal_scores_do_not_move_the_draws_away_from_the_estimate():
-    """Copies next to their originals once raised the draws by 0.033 above the estimate."""
+    """Adjacent copies of detections once raised the draws by 0.033 above the estimate."""
     apart = []
     for seed in range(40):
         scenes = [alike(i, np.random.default_rng((i, seed))) for i in range(10)]
@@ -121,7 +121,7 @@ def test_equal_results_differ_by_exactly_zero():
 
 
 def test_a_paired_difference_has_a_narrower_interval_than_either_result():
-    """Scenes differ much, but the results do not: one misses one more part in every scene."""
+    """Scenes differ much, but results do not: one of them misses one more part in every scene."""
     rng = np.random.default_rng(6)
     scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(25)]
     labels = [one[0] for one in scenes]
@@ -136,7 +136,7 @@ def test_a_paired_difference_has_a_narrower_interval_than_either_result():
 
 
 def test_a_second_equal_view_of_every_scene_leaves_the_interval_unchanged():
-    """Oracle: the interval of the first views alone; pictures drawn alone have a narrower one."""
+    """Oracle: the interval of the first views; an interval from resampled pictures is narrower."""
     rng = np.random.default_rng(8)
     scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(20)]
     views = [
@@ -176,7 +176,7 @@ def coverage(count, *, scenes, figure, truth, make):
 
 
 def uneven(scene_id, rng):
-    """A scene whose share of found parts is drawn first: scenes differ, as real ones do."""
+    """Return a scene with a random share of found parts, because real scenes differ, too."""
     return bin_of(scene_id, rng, share=rng.uniform(0.4, 1.0))
 
 
@@ -193,14 +193,14 @@ def with_mistakes(scene_id, rng):
 @pytest.mark.slow
 @pytest.mark.parametrize(("scenes", "least"), [(5, 0.90), (20, 0.925)])
 def test_95_of_100_intervals_of_recall_contain_the_known_mean(scenes, least):
-    """The mean is 0.7 by construction. 600 sets: two standard errors of 95 % are 1.8 %."""
+    """The mean is 0.7 by construction. For 600 sets, two standard errors of 95 % are 1.8 %."""
     share = coverage(600, scenes=scenes, figure="ar", truth=0.7, make=uneven)
     assert least <= share <= 0.975
 
 
 @pytest.mark.slow
 def test_95_of_100_intervals_of_average_precision_contain_its_value_for_many_scenes():
-    """AP is not a mean over scenes, so the AP of 6,000 scenes approximates its limit."""
+    """AP is not a mean over scenes, so the AP of 6,000 scenes approximates its true value."""
     rng = np.random.default_rng(99)
     many = [with_mistakes(i, rng) for i in range(6000)]
     truth = score([one[0] for one in many], [one[1] for one in many], kind="box").ap

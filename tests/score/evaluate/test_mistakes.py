@@ -26,7 +26,7 @@ def rows(judgement, by):
 
 
 def test_instances_of_another_visibility_are_ignored():
-    """Two instances are hardly visible; one of these is missed, and all others are found."""
+    """Two instances are hardly visible. One of them is missed, and all others are found."""
     labels = squares(0, FOUR, visible=[0.2, 0.25, 0.95, 1.0])
     detections = detected_squares(0, [FOUR[0], *FOUR[2:]], [0.9, 0.8, 0.7])
     by = rows(judgement_of(labels, detections), "visibility")
@@ -56,9 +56,9 @@ def test_instances_are_grouped_by_their_missing_depth():
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", ["mask", "box"])
 def test_scores_by_size_equal_those_of_pycocotools_area_ranges(seed, kind):
-    """Oracle: areaRng of pycocotools, whose instances' area is here set to that of what is judged.
+    """Oracle: areaRng of pycocotools, with the instances' areas set to those of boxes or masks.
 
-    Its ranges hold both ends; no drawn area is exactly an end of ours.
+    A range of pycocotools includes both ends; no area in these sets is exactly at an end.
     """
     random_set = RandomSet.of_seed(seed)
     known = overlaps(random_set.labels, random_set.detections, kind=kind, most=300)
@@ -74,7 +74,7 @@ def test_scores_by_size_equal_those_of_pycocotools_area_ranges(seed, kind):
 
 @pytest.mark.parametrize("decimals", [9, 1])
 def test_the_working_point_has_the_highest_f1(decimals):
-    """Oracle: count at every score as threshold. No threshold separates equal scores."""
+    """Oracle: F1 is counted with each score as threshold; equal scores cannot be separated."""
     random_set = RandomSet.of_seed(11, scenes=6)
     detections = [replace(one, score=one.score.round(decimals)) for one in random_set.detections]
     known = overlaps(random_set.labels, detections, kind="mask", most=300)
@@ -108,7 +108,7 @@ def test_every_mistake_has_its_kind():
     ]
     assert alarms[2].overlap == pytest.approx(1 / 3)
     missed = misses(known, match(known), 0.0)
-    assert [one.instance for one in missed] == [1, 2, 3]  # the most visible first
+    assert [one.instance for one in missed] == [1, 2, 3]  # in descending order of visibility
     assert missed[0].overlap == pytest.approx(1 / 3)
     assert missed[0].score == 0.6
     assert np.isnan(missed[2].score)

@@ -27,7 +27,7 @@ def notes_of(places, scores):
 
 @pytest.mark.slow
 def test_the_range_of_ap_covers_all_orders_of_equal_scores():
-    """Oracle: every order of six equal scores, scored one by one."""
+    """Oracle: all orders of six equal scores are scored one by one."""
     detections = detected_squares(0, [*PLACES, *WRONG], np.ones(6))
     every = []
     for order in permutations(range(6)):
@@ -40,13 +40,13 @@ def test_the_range_of_ap_covers_all_orders_of_equal_scores():
     assert high - low > 0.3
 
 
-def test_equal_scores_that_move_ap_are_noted():
+def test_equal_scores_that_change_ap_cause_a_note():
     (note,) = notes_of([*PLACES, *WRONG], np.ones(6))
     assert "all scores are equal" in note and "it is 1.000" in note and "0.667 to 1.000" in note
     (note,) = notes_of([*PLACES, *WRONG], [0.9, 0.8, 0.7, 0.7, 0.7, 0.6])
     assert "box: scores are equal" in note
     assert notes_of([*PLACES, *WRONG], np.linspace(0.9, 0.1, 6)) == []
-    assert notes_of(PLACES, np.ones(4)) == []  # All orders of hits alone are equally good.
+    assert notes_of(PLACES, np.ones(4)) == []  # Without mistakes, the order does not matter.
 
 
 def test_repeated_entries_are_counted():

@@ -1,4 +1,4 @@
-"""BOP's errors of poses against closed forms."""
+"""Pose errors as defined by BOP, against closed forms."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_small_angles_are_measured_exactly():
 
 
 def test_the_mspd_of_a_sideways_shift_is_scaled_by_focal_length_over_depth():
-    """One vertex at depth z: f t / z pixels, scaled from 320 to 640 columns."""
+    """Oracle for one vertex at depth z: f t / z pixels, scaled from 320 to 640 columns."""
     point, T = np.zeros((1, 3)), rigid(np.eye(3), np.array([0.0, 0.0, 0.8]))
     for shift, f_px in (([0.004, 0, 0], 400.0), ([0, 0.004, 0], 500.0)):
         off = mspd(moved(T, shift=shift), T, point, ALONE, CAMERA)
@@ -100,16 +100,16 @@ TAUS = np.array([0.005, 0.010, 0.020])
 
 
 def surface(rows, z, shape=(10, 10)):
-    """Return a distance image with a patch at one distance over some rows."""
+    """Return a distance map with one distance in some rows, and NaN elsewhere."""
     depth_m = np.full(shape, np.nan)
     depth_m[rows] = z
     return depth_m
 
 
 def test_vsd_counts_pixels_of_only_one_pose_and_pixels_with_too_different_distances():
-    """True rows 0 to 5, estimate rows 2 to 7 at 12 mm more: 4 of 8 rows are shared."""
+    """The truth has rows 0 to 5; the estimate has rows 2 to 7, 12 mm farther; they share 4 of 8."""
     true, estimate = surface(np.s_[0:6], 0.8), surface(np.s_[2:8], 0.812)
-    floor = np.full((10, 10), np.nan)  # nothing measured: all is visible
+    floor = np.full((10, 10), np.nan)  # Without a measurement, all surfaces are visible.
     np.testing.assert_allclose(vsd(estimate, true, floor, TAUS), [1, 1, 0.5])
 
 
@@ -119,7 +119,7 @@ def test_vsd_equal_to_the_tolerance_is_an_error():
 
 
 def test_vsd_ignores_hidden_pixels():
-    """Rows 0 and 1 are hidden by a surface 16 mm in front, but not by one at 14 mm."""
+    """Rows 0 and 1 are hidden by a surface 16 mm in front of them, but not by one at 14 mm."""
     true = surface(np.s_[0:4], 0.8)
     estimate = surface(np.s_[2:4], 0.8)
     for gap, error in ((0.016, 0.0), (0.014, 0.5)):
@@ -129,7 +129,7 @@ def test_vsd_ignores_hidden_pixels():
 
 
 def test_a_part_in_front_of_the_measured_surface_is_visible():
-    """The true part is absent; the estimate is 100 mm in front of the measured surface."""
+    """The true part is not there; the estimate is 100 mm in front of the measured surface."""
     true, estimate = surface(np.s_[0:0], 0.8), surface(np.s_[0:4], 0.7)
     np.testing.assert_array_equal(vsd(estimate, true, np.full((10, 10), 0.8), TAUS), 1)
     shared = surface(np.s_[0:2], 0.7)
@@ -141,7 +141,7 @@ def test_an_estimate_behind_the_measured_surface_is_visible_at_pixels_of_the_tru
     true, estimate = surface(np.s_[0:4], 0.8), surface(np.s_[0:4], 0.83)
     error = vsd(estimate, true, np.full((10, 10), 0.8), np.array([0.02, 0.04]))
     np.testing.assert_array_equal(error, [1, 0])
-    elsewhere = surface(np.s_[6:10], 0.83)  # hidden behind what is measured: no part of the union
+    elsewhere = surface(np.s_[6:10], 0.83)  # It is hidden by the measured surface, so not counted.
     combined = np.where(np.isfinite(true), true, elsewhere)
     np.testing.assert_array_equal(vsd(combined, true, np.full((10, 10), 0.8), TAUS), [0, 0, 0])
 

@@ -18,17 +18,17 @@ from graycast.score.evaluate import Protocol, evaluate_poses
 from graycast.score.evaluate.pose_recall import PictureTruth, count_picture, matched, solid_of
 from graycast.world.parts import Mesh, Symmetry
 
-# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
+# An array type of pycocotools 2.0.11 is older than NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
 def test_the_estimate_with_the_highest_score_is_matched_first():
-    """It takes the instance that fits it best, though the second would have needed it."""
+    """It takes the instance that it fits best, even if only this one fits the second estimate."""
     error = np.array([[0.1, 0.3], [0.2, 0.9]])
     assert matched(error, 0.5) == [(0, 0)]
     assert matched(error, 1.0) == [(0, 0), (1, 1)]
     assert matched(error[::-1], 0.5) == [(0, 0), (1, 1)]
-    assert matched(error, 0.1) == []  # below the threshold, not at it
+    assert matched(error, 0.1) == []  # The error must be below the threshold, not equal to it.
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_a_shifted_pose_is_correct_only_for_thresholds_above_the_shift(scene):
 
 
 def test_the_number_of_counted_estimates_is_limited_to_the_number_of_instances(scene):
-    """Surer wrong ones push right ones out."""
+    """Wrong estimates with higher scores displace the right ones."""
     truth, solids = scene
     wrong = [
         PoseEstimate(scene_id=e.scene_id, im_id=0, obj_id=e.obj_id, score=2.0,
@@ -91,7 +91,7 @@ def test_the_number_of_counted_estimates_is_limited_to_the_number_of_instances(s
 
 
 def cube(side_m, middle_m, camera, T):
-    """A picture of one cube, whose middle is not its origin, with perfect depth; its solid."""
+    """Return a picture of a cube with perfect depth, and its solid; its origin is off-centre."""
     mesh = Mesh(
         vertices_m=BOX_CORNERS * side_m / 2 + middle_m,
         faces=box_part(1.0, lambert(0.5)).mesh.faces,
@@ -111,7 +111,7 @@ def counted(truth, solids, T):
 
 
 def test_the_distance_is_measured_to_the_middle_of_the_part():
-    """Turned by 4 degrees about its middle, the origin, 100 mm aside, moves by 7 mm."""
+    """A rotation by 4 degrees about the centre moves the origin, 100 mm away, by 7 mm."""
     middle = np.array([0.1, 0.0, 0.0])
     T = rigid(np.eye(3), np.array([-0.1, 0.0, 1.0]))
     truth, solids = cube(0.04, middle, centred(80, 60, 200), T)
@@ -124,8 +124,8 @@ def test_the_distance_is_measured_to_the_middle_of_the_part():
 
 
 def test_vsd_compares_distances_and_not_depths():
-    """At 45 degrees to the axis a shift along the ray by 5.8 % of the diameter is one of 4.1 % in
-    z: more than the first tolerance, 5 %, and less than the second."""
+    """At 45 degrees to the axis, a shift along the ray by 5.8 % of the diameter is a shift of 4.1 %
+    in z. Only the former exceeds the first tolerance of 5 %."""
     T = rigid(np.eye(3), np.array([1.0, 0.0, 1.0]))
     truth, solids = cube(0.2, np.zeros(3), centred(480, 200, 200), T)
     along = 0.058 * solids[1].diameter_m * np.array([1.0, 0.0, 1.0]) / np.sqrt(2)
@@ -169,7 +169,7 @@ def test_the_command_writes_figures_for_all_parts_and_for_each_part(master, tmp_
 
 
 def test_recall_is_a_share_of_all_instances_to_find(master, tmp_path):
-    """Half of the poses left out at random: AR is the share that is left."""
+    """If half of the poses are removed at random, AR is the share that remains."""
     shifted = whole(master)
     half = [
         shifted[k] for k in np.random.default_rng(0).permutation(len(shifted))[: len(shifted) // 2]

@@ -1,4 +1,4 @@
-"""The area under the ROC curve against hand counts and against the curve itself."""
+"""The area under the ROC curve, against counts by hand and against the curve itself."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_the_area_equals_the_u_statistic_of_mann_and_whitney():
 
 
 def test_the_area_equals_the_integral_under_the_curve():
-    """Oracle: true over false positives at every threshold, by trapezia; ties make slopes."""
+    """Oracle: true over false positive rates at all thresholds, by trapezia; ties make slopes."""
     rng = np.random.default_rng(0)
     success = rng.random(400) < 0.4
     score = np.round(rng.normal(success * 0.8, 1.0), 1)
@@ -41,7 +41,7 @@ def test_the_area_is_nan_without_failures():
 
 @pytest.mark.slow
 def test_the_interval_contains_the_truth_at_its_stated_rate():
-    """Two normal laws one deviation apart: the area is Phi(1 / sqrt 2) = 0.760."""
+    """For two normal laws that are one sigma apart, the area is Phi(1 / sqrt 2) = 0.760."""
     rng = np.random.default_rng(1)
     inside = 0
     for _ in range(40):
@@ -49,12 +49,12 @@ def test_the_interval_contains_the_truth_at_its_stated_rate():
         score = rng.normal(success * 1.0, 1.0)
         figure = roc_auc_of_scenes(score, success, np.arange(120) // 4, seed=0)
         inside += figure.low <= 0.7602 <= figure.high
-    assert inside >= 34  # 34 of 40 at 95 %: fewer occur by chance once in 300.
+    assert inside >= 34  # At 95 %, fewer than 34 of 40 occur by chance once in 300 runs.
 
 
 @pytest.mark.slow
 def test_correlation_within_scenes_widens_the_interval():
-    """Four equal grips in each scene leave fewer independent grips than four different ones."""
+    """Four equal grips in a scene have less information than four independent grips."""
     rng = np.random.default_rng(2)
     success = np.repeat(rng.random(40) < 0.5, 4)
     score = np.repeat(rng.normal(success[::4] * 1.0, 1.0), 4)

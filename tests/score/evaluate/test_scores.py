@@ -38,7 +38,7 @@ def test_a_false_alarm_with_the_lowest_score_does_not_lower_ap():
 
 
 def test_a_false_alarm_with_the_highest_score_lowers_ap():
-    """Precisions at the hits are 1/2, 2/3, 3/4, 4/5; the highest to the right is 4/5 everywhere."""
+    """Precisions at the hits are 1/2, 2/3, 3/4, 4/5; the maximum to the right is 4/5 everywhere."""
     scores = one_scene(detected_squares(0, [(40, 30), *FOUR], [0.99, 0.9, 0.8, 0.7, 0.6]))
     assert scores.ap == pytest.approx(4 / 5, abs=1e-12)
     assert scores.ar == 1.0
@@ -52,13 +52,13 @@ def test_ap_is_51_of_101_if_half_of_the_instances_are_detected():
 
 
 def test_a_second_detection_of_the_same_instance_is_a_mistake():
-    """Hit, double, hit, hit, hit: precision 1 up to recall 1/4, then 4/5."""
+    """The order is hit, double, hit, hit, hit: precision is 1 up to recall 1/4, then 4/5."""
     scores = one_scene(detected_squares(0, [FOUR[0], *FOUR], [0.95, 0.9, 0.8, 0.7, 0.6]))
     assert scores.ap == pytest.approx((26 + 75 * 4 / 5) / 101, abs=1e-12)
 
 
 def test_an_overlap_between_two_thresholds_is_a_hit_only_for_the_lower_threshold():
-    """A square of 8 px shifted by one: 7/9 = 0.78 is enough for 0.50 to 0.75, six of ten."""
+    """A square of 8 px is shifted by 1 px: 7/9 = 0.78 suffices for 0.50 to 0.75, six of ten."""
     scores = one_scene(detected_squares(0, [(1, 0)], [0.9]), labels=squares(0, [(0, 0)]))
     assert (scores.ap50, scores.ap75) == (1.0, 1.0)
     assert scores.ap == pytest.approx(0.6, abs=1e-12)
@@ -75,7 +75,7 @@ def test_detections_of_ignored_instances_are_neither_required_nor_mistakes():
 
 
 def test_a_detection_inside_an_ignored_crowd_is_no_mistake():
-    """COCO's crowd rule: the detection covers 1/4 of the instance but lies fully inside it."""
+    """COCO's crowd rule: the detection covers 1/4 of the instance, but is completely inside it."""
     labels = squares(0, [(0, 0), (20, 0)], visible=[0.05, 1], side=8)
     small = detected_squares(0, [(0, 0)], [0.99], side=4)
     good = detected_squares(0, [(20, 0)], [0.9])
@@ -112,7 +112,7 @@ def test_the_score_is_zero_without_detections_and_nan_without_instances():
 
 
 def test_more_than_100_detections_of_a_full_bin_are_scored():
-    """255 parts all found: of the best 100 recall is 100/255, so 40 of 101 recalls are reached."""
+    """All of 255 parts are found. With only 100 detections, 40 of the 101 recalls are reached."""
     places = [(3 * (i % 20), 3 * (i // 20)) for i in range(255)]
     labels = squares(0, places, side=2)
     detections = detected_squares(0, places, np.linspace(0.99, 0.5, 255), side=2)
@@ -148,7 +148,7 @@ def test_scores_of_200_random_sets_equal_those_of_pycocotools():
 
 @pytest.mark.slow
 def test_scores_of_random_sets_equal_those_of_faster_coco_eval():
-    """A second judge that shares no code with pycocotools' matching."""
+    """faster-coco-eval is a second oracle that shares no code with the matching of pycocotools."""
     faster = pytest.importorskip(
         "faster_coco_eval", reason="needs faster-coco-eval: pip install 'graycast[test]'"
     )

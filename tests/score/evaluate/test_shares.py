@@ -1,4 +1,4 @@
-"""Shares: published figures, and the binomial law by hand."""
+"""Shares against published examples and against the binomial distribution."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from graycast.score.evaluate import mcnemar, wilson
 
 
 def test_wilsons_interval_agrees_with_published_examples():
-    """R's binom.confint(9, 10, methods = "wilson") and (0, 20)."""
+    """Oracle: binom.confint(..., methods = "wilson") of R for (9, 10) and (0, 20)."""
     assert wilson(9, 10) == pytest.approx((0.59585, 0.98212), abs=1e-5)
     assert wilson(0, 20) == pytest.approx((0.0, 0.16113), abs=1e-5)
 
@@ -19,6 +19,6 @@ def test_mcnemars_p_value_agrees_with_the_binomial_distribution():
 
 
 def test_the_interval_for_a_share_of_0_or_1_ends_at_that_share():
-    """(p + z^2/2n +- ...) / (1 + z^2/n) is exactly 1 or 0 there, which rounding misses."""
+    """(p + z^2/2n +- ...) / (1 + z^2/n) is exactly 1 or 0 there, except for rounding errors."""
     for of in range(1, 300):
         assert wilson(of, of)[1] == 1.0 and wilson(0, of)[0] == 0.0

@@ -21,7 +21,7 @@ def world_rays(T_world_cam, camera=CAMERA):
 
 
 def plane_depth(T_world_cam, normal, offset_m, camera=CAMERA):
-    """Return z on the plane `normal . p = offset_m`: for rays with z = 1, the factor is z."""
+    """Return z on the plane `normal . p = offset_m`; rays have z = 1, so their factor is z."""
     eye = T_world_cam[:3, 3]
     return (offset_m - normal @ eye) / (world_rays(T_world_cam, camera) @ normal)
 

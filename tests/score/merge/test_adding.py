@@ -1,4 +1,4 @@
-"""Shares of the surface and the order of views, against counting and brute force."""
+"""Shares of the surface and the best order of views, against counting and brute force."""
 
 from itertools import combinations
 
@@ -23,7 +23,7 @@ def cube():
 
 
 def cube_depth(T):
-    """z of a cube about the origin, by slabs: the last of the entries before the first exit."""
+    """Return z of a cube about the origin: the last entry into its slabs, before the first exit."""
     ray, eye = world_rays(T, FINE), T[:3, 3]
     with np.errstate(divide="ignore"):
         ends = np.sort((np.array([[-SIDE_M / 2], [SIDE_M / 2]]) - eye) / ray[..., None, :], axis=-2)
@@ -46,15 +46,15 @@ def test_a_camera_above_an_edge_measures_the_two_visible_faces():
     up, left = surface.normal[:, 2] > 0.5, surface.normal[:, 0] < -0.5
     assert set(why.tolist()) == {0, HIDDEN}
     assert (why[~(up | left)] == HIDDEN).all()
-    # The outer half pixel of a face of 57 x 40 pixels may belong to the neighbour.
+    # The outer half pixel of a face of 57 x 40 pixels may belong to the neighbouring face.
     assert (why[up | left] == 0).mean() > 0.96
     assert len(why) == pytest.approx(6000, abs=6) and up.mean() == pytest.approx(1 / 6, abs=0.01)
 
 
 def test_points_outside_the_view_or_hidden_are_not_losses_of_the_scanner():
     T = from_above(0.0, 0.0, 0.3)
-    T[0, 3] = 0.11  # beside the cube, a part of which is outside the picture
-    plane_m = plane_depth(T, UP, 0.1, FINE)  # a sheet over the cube
+    T[0, 3] = 0.11  # next to the cube, so that a part of it is outside the picture
+    plane_m = plane_depth(T, UP, 0.1, FINE)  # a sheet above the cube
     _, why = reasons(T, plane_m, plane_m)
     assert set(why.tolist()) == {HIDDEN, OUTSIDE}
 
@@ -68,7 +68,7 @@ def test_a_hole_has_the_reason_of_the_scanner_and_a_wrong_depth_is_marked_as_wro
     surface, why = reasons(T, depth_m, true_m, reason=5)
     up = surface.normal[:, 2] > 0.5
     x, y = surface.point_m[up, 0], surface.point_m[up, 1]
-    # This camera looks down, with its y axis along the world's -y.
+    # This camera looks down, and its y axis points along the world's -y.
     inner = (
         (np.abs(surface.point_m[up]).min(axis=1) > 3e-3) & (np.abs(x) < 0.047) & (np.abs(y) < 0.047)
     )
@@ -80,7 +80,7 @@ def test_a_hole_has_the_reason_of_the_scanner_and_a_wrong_depth_is_marked_as_wro
 
 @pytest.mark.parametrize("seed", range(20))
 def test_each_next_view_adds_the_largest_possible_share(seed):
-    """Oracle: sets and brute force; all views together have what their union has."""
+    """Oracle: sets and brute force. All views together have the points of their union."""
     rng = np.random.default_rng(seed)
     has = rng.random((5, 40)) < rng.uniform(0.1, 0.6, (5, 1))
     order, gains = best_order(has)
@@ -102,7 +102,7 @@ def test_equal_views_keep_their_order():
 
 
 def test_shares_of_the_surface_are_counted_for_each_view():
-    """Five of eight surface points are visible; one of these five is not measured by any view."""
+    """Five of eight points are visible; no view measures one of these five."""
     why = np.array([[0, 0, 0, 2, 2], [0, 2, HIDDEN, 0, WRONG]], dtype=np.uint8)
     record = surface_figures(SurfaceCoverage(why=why, of=8), ["left", "right"], {2: "saturated"})
     assert record["visible"] == 5 / 8 and record["measured"] == 4 / 5

@@ -1,4 +1,4 @@
-"""Clouds of several views, against planes and spheres in closed form."""
+"""Fused clouds of several views, against planes and spheres in closed form."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def noisy(depth_m, rng, sigma_m=SIGMA_M):
 
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow), 5])
 def test_sigma_of_equal_views_falls_with_the_root_of_their_number(count):
-    """Oracle: the standard error of a mean, for the stated sigma and the observed scatter."""
+    """Oracle: the standard error of a mean, for the stated sigma and for the actual scatter."""
     T, rng = from_above(0.0), np.random.default_rng(count)
     depth_m = plane_depth(T, UP, 0.0)
     one = fuse([view(depth_m, T, SIGMA_M)]).cloud
@@ -26,12 +26,12 @@ def test_sigma_of_equal_views_falls_with_the_root_of_their_number(count):
     assert one.sigma_m.min() == pytest.approx(SIGMA_M, rel=1e-3)
     assert np.median(many.sigma_m[inner]) == pytest.approx(SIGMA_M / np.sqrt(count), rel=0.02)
     scatter_m = many.point_m[inner, 2].std()
-    # The scatter of n values is known to 1 / sqrt(2 n), here 1 %.
+    # The scatter of n values has a relative error of 1 / sqrt(2 n), which is 1 % here.
     assert scatter_m == pytest.approx(SIGMA_M / np.sqrt(count), rel=4 / np.sqrt(2 * inner.sum()))
 
 
 def test_a_fused_slanted_plane_is_correct_within_its_stated_sigma():
-    """Oracle: errors over stated sigma have a variance of one."""
+    """Oracle: errors divided by the stated sigma have a variance of one."""
     rng, normal = np.random.default_rng(7), np.array([0.2, -0.1, 1.0]) / np.sqrt(1.05)
     places = [from_above(-0.45), from_above(0.4, 0.3, 0.9)]
     views = [view(noisy(plane_depth(T, normal, 0.02), rng), T, SIGMA_M) for T in places]
@@ -40,12 +40,12 @@ def test_a_fused_slanted_plane_is_correct_within_its_stated_sigma():
     both = cloud.views == 2
     assert both.mean() > 0.4 and not cloud.against.any()
     for group in (both, ~both):
-        # A view's normals have an error of 3 degrees; half a pixel aside, this is a third of sigma.
+        # Normals have errors of 3 degrees; half a pixel to the side, this is a third of sigma.
         assert np.mean(off[group] ** 2) == pytest.approx(1.0, abs=0.15)
 
 
 def test_weights_are_inverse_variances():
-    """Oracle: 1 / s^2 = 1 / a^2 + 1 / b^2, and the mean lies so much nearer to the better one."""
+    """Oracle: 1 / s^2 = 1 / a^2 + 1 / b^2; the mean is closer to the better view."""
     T = from_above(0.0)
     depth_m = plane_depth(T, UP, 0.0)
     good, bad = view(depth_m, T, 0.1e-3), view(depth_m - 0.5e-3, T, 0.3e-3)
@@ -56,19 +56,19 @@ def test_weights_are_inverse_variances():
 
 
 def test_a_point_seen_by_several_views_is_in_the_cloud_once():
-    """Two views of a plane keep the finer view's points, plus those that it does not see."""
+    """For two views of a plane, the cloud has the finer view's points, and others outside it."""
     near, far = from_above(0.0, z_m=0.5), from_above(0.0, z_m=1.0)
     views = [view(plane_depth(T, UP, 0.0), T, SIGMA_M) for T in (far, near)]
     cloud = fuse(views).cloud
     assert (cloud.view == 1).sum() == 80 * 60
     beyond = cloud.point_m[cloud.view == 0]
-    inside = (np.abs(beyond[:, 0]) < 0.19) & (np.abs(beyond[:, 1]) < 0.14)  # of the near picture
+    inside = (np.abs(beyond[:, 0]) < 0.19) & (np.abs(beyond[:, 1]) < 0.14)  # inside the near view
     assert not inside.any() and len(beyond) > 0.7 * 80 * 60
     assert (cloud.first_reason == 0).all()
 
 
 def test_the_view_with_the_smaller_pixels_on_the_surface_determines_the_points():
-    """The near one leans by 60 degrees: its pixel covers 0.9^2 / cos 60 = 1.6 of the other's."""
+    """The near view leans by 60 degrees: its pixel covers 0.9^2 / cos 60 = 1.6 of the other's."""
     upright, leaning = from_above(0.0), from_above(0.9 * np.sin(np.pi / 3), z_m=0.45)
     views = [view(plane_depth(T, UP, 0.0), T, SIGMA_M) for T in (leaning, upright)]
     cloud = fuse(views).cloud
@@ -80,7 +80,7 @@ def test_a_flying_point_that_another_view_sees_through_is_rejected():
     rng = np.random.default_rng(3)
     left, right = from_above(-0.4), from_above(0.4)
     flying = noisy(plane_depth(left, UP, 0.0), rng)
-    flying[20:40:4, 30:50:4] -= 0.05  # single pixels, five centimetres over the plane
+    flying[20:40:4, 30:50:4] -= 0.05  # single pixels, 5 cm above the plane
     views = [
         view(flying, left, SIGMA_M),
         view(noisy(plane_depth(right, UP, 0.0), rng), right, SIGMA_M),
@@ -88,7 +88,7 @@ def test_a_flying_point_that_another_view_sees_through_is_rejected():
     fused = fuse(views)
     assert fused.rejected_px == (25, 0)
     assert fused.cloud.point_m[:, 2].max() < 6 * SIGMA_M
-    alone = fuse(views[:1])  # No other view saw through them.
+    alone = fuse(views[:1])  # Without another view, nothing contradicts these pixels.
     assert alone.rejected_px == (0,) and (alone.cloud.point_m[:, 2] > 0.03).sum() == 25
 
 
@@ -120,13 +120,13 @@ def test_a_hole_filled_by_another_view_keeps_the_first_views_reason():
     ]
     cloud = fuse(views).cloud
     filled = cloud.first_reason == 3
-    assert filled.sum() == pytest.approx(400, rel=0.15)  # pixels of about the same size
+    assert filled.sum() == pytest.approx(400, rel=0.15)  # The pixels of both views are similar.
     assert set(cloud.first_reason.tolist()) == {0, 3, OUTSIDE}
     assert (cloud.views[filled] == 1).all() and (cloud.view[filled] == 1).all()
 
 
 def test_two_sides_of_a_thin_sheet_stay_separate():
-    """The sides are closer together than the noise, but their normals differ."""
+    """The distance of the sides is below the noise, but their normals differ."""
     above, below = from_above(0.0, 0.001, 1.0), from_above(0.0, 0.001, -1.0)
     views = [
         view(plane_depth(above, UP, 0.2e-3), above, SIGMA_M),

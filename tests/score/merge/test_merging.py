@@ -30,7 +30,7 @@ def test_the_cloud_of_one_view_is_its_depth_in_world_coordinates(merged, samples
     ray = np.linalg.solve(K, np.stack([column, row, np.ones(len(row))]))
     place = T[:3, :3] @ (ray * sample.scanner_depth.depth_m[row, column]) + T[:3, 3:]
     assert count == len(row)
-    assert np.stack([cloud[k] for k in "xyz"]) == pytest.approx(place, abs=1e-4)  # depth's steps
+    assert np.stack([cloud[k] for k in "xyz"]) == pytest.approx(place, abs=1e-4)  # step of depth
     assert (cloud["views"] == 1).all() and (cloud["sigma"] > 0).all()
     assert any("world frame" in line for line in lines)
     assert np.stack([cloud[k] for k in ("red", "green", "blue")], axis=-1).tolist() == (
@@ -90,7 +90,7 @@ def test_real_pictures_are_refused(tmp_path, monkeypatch, master):  # noqa: F811
 
 @pytest.mark.slow
 def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noqa: F811
-    """Oracle: the known positions of the parts and the floor, and their visibility per picture."""
+    """Oracle: the known positions of parts and floor, and their visibility in each picture."""
     out, taken = several
     record = merge(out, tmp_path / "clouds")
     assert record["scenes"] == ["train-000000", "train-000003"]
@@ -100,7 +100,7 @@ def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noq
     assert [view["measured_px"] for view in figures["cloud"]["views"]] == measured
     assert max(measured) < figures["cloud"]["points"] < sum(measured)
     for group in figures["cloud"]["by_views"][:2]:
-        # Pixels are 3 mm wide, so planes at edges are tilted, which the noise does not show.
+        # Pixels are 3 mm wide, so planes at edges are tilted; sigma does not include this.
         assert abs(group["error_median_m"]) < 0.2 * SIGMA_M
         assert group["error_sigma_m"] == pytest.approx(group["sigma_m"], rel=0.4)
         assert group["within_3_sigma"] > 0.9
@@ -111,6 +111,6 @@ def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noq
     first = surface["views"][0]
     assert surface["scenes"] == 2
     assert surface["measured"] >= max(view["measured"] for view in surface["views"])
-    assert first["filled_by_others"]["saturated"] > 0.01  # the first view's hole
+    assert first["filled_by_others"]["saturated"] > 0.01  # the hole in the first view
     assert all("saturated" not in view["filled_by_others"] for view in surface["views"][1:])
     assert figures["cloud"]["first_reason"]["saturated"] > 0

@@ -1,4 +1,4 @@
-"""Poses of views that are wrong in a known way, over surfaces in closed form."""
+"""Views with known errors of their poses, over surfaces in closed form."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ PLACES = [from_above(-0.15), from_above(0.2, 0.05), from_above(0.0, -0.2)]
 
 
 def taken(T, name, rng):
-    """Return three balls on a floor, which constrain the pose of a view in every direction."""
+    """Return a view of three balls on a floor, which constrain its pose in every direction."""
     depth_m = plane_depth(T, UP, 0.0, CAMERA)
     for middle in ((0.05, 0.05, 0.05), (0.12, -0.08, 0.08), (-0.05, -0.1, 0.06)):
         depth_m = np.fmin(depth_m, sphere_depth(T, middle, middle[2], CAMERA))

@@ -1,4 +1,4 @@
-"""Artefacts lie where both devices see them."""
+"""Artefacts are at places that both devices see."""
 
 import math
 
@@ -23,8 +23,8 @@ GREY = Material()
 
 
 def test_the_common_rectangle_of_parallel_devices_is_the_overlap_of_their_views():
-    """Two equal pinholes 0.2 m apart: at z each covers z (w - 5) / f, two pixels in from the outer
-    centres; the overlap is 0.2 m narrower.
+    """Two equal pinholes are 0.2 m apart. At z, each covers z (w - 5) / f, since the field ends two
+    pixels inside the outer centres. The overlap is 0.2 m narrower.
     """
     rig = make_rig(centred(200, 100, 200), centred(200, 100, 200), baseline_m=(0.2, 0.0, 0.0))
     low, high = common_rectangle_m(rig, 2.0)
@@ -48,7 +48,7 @@ def test_all_artefacts_of_a_preset_are_in_the_fields_of_camera_and_projector(nam
     bars = ball_bars(rig, volume, radius_m=0.5 * radius_m)
     assert len(bars) == 7
     assert np.ptp([bar.length_m for bar in bars]) < 1e-12
-    # The pictures of the other rigs are wider and have less room.
+    # The pictures of the other rigs are wider, which leaves less space.
     least = 0.3 if name == "paper" or "phoxi" in name else 0.25
     assert bars[0].length_m > least * volume.diagonal_m
     assert all(clear(rig, bar.ends_m, bar.radius_m) for bar in bars)
@@ -70,13 +70,13 @@ def test_a_sphere_too_large_for_the_volume_is_refused():
 
 
 def test_a_sphere_in_the_shadow_of_another_sphere_is_not_clearly_visible():
-    """The camera sees the spheres apart, but they are on one line from the projector."""
+    """The camera sees both spheres, but one of them hides the other from the projector."""
     rig = make_rig(centred(64, 48, 80), centred(64, 48, 80), baseline_m=(0.3, 0.0, 0.0))
     projector = np.array([0.3, 0.0, 0.0])
     pair = projector + np.outer([1.0, 1.5], [-0.2, 0.1, 1.0])
     assert not clear(rig, pair, 0.02)
     assert clear(rig, pair + np.outer([0, 1], [0.0, -0.3, 0.0]), 0.02)
-    assert not clear(rig, np.array([[0.1, 0.1, 1.0], [0.2, 0.2, 2.0]]), 0.02)  # the camera's turn
+    assert not clear(rig, np.array([[0.1, 0.1, 1.0], [0.2, 0.2, 2.0]]), 0.02)  # hidden from camera
 
 
 def test_spheres_share_a_scene_only_if_they_are_apart_at_the_same_depth():

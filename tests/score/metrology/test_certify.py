@@ -1,4 +1,4 @@
-"""Certificates of small scanners: nearly perfect ones, and one whose calibration is wrong."""
+"""Certificates of small scanners: nearly perfect scanners, and one with a wrong calibration."""
 
 import json
 import math
@@ -24,13 +24,13 @@ NOISELESS = SensorSpec(
     full_well_e=1e9, gain_dn_per_e=6e-5, read_noise_e=0.0, bit_depth=16, dark_current_e_s=0.0
 )
 
-# The spread of the cosine of incidence separates radius and distance of a cap. This is the standard
-# deviation of a cosine that is uniform from cos 50 degrees, at least, to 1.
+# A fit distinguishes a cap's radius from its distance by the spread of the cosine of incidence.
+# This is the standard deviation of a cosine that is uniform from cos 50 degrees to 1.
 COSINE_SPREAD = (1 - math.cos(math.radians(50))) / math.sqrt(12)
 
 
 def small_rig(*, baseline_m=0.2, finer=1):
-    """A toed-in pair of pinholes that work from 0.5 to 0.9 m."""
+    """Return a toed-in pair of pinholes with a working range from 0.5 to 0.9 m."""
     rig = make_rig(
         centred(160 * finer, 120 * finer, 190 * finer),
         centred(512, 384, 600),
@@ -52,18 +52,18 @@ def certificate(mitsuba_renderer):
 
 @pytest.mark.slow
 def test_temporal_noise_is_the_standard_deviation_that_the_decoder_propagates(certificate):
-    """The sensor's law, carried through decoding and triangulation, against scatter over shots.
-    Without filters the two share nothing; 4 shots of some thousand pixels tell 3 %.
+    """Oracle: the scatter over shots, against the sensor's noise propagated through decoding and
+    triangulation. Without filters, they share no code; 4 shots have a standard error of 3 %.
     """
     for plane in certificate.facing:
         assert abs(plane.noise_m / plane.sigma_m - 1) < 0.08
     near, _, far = certificate.facing
-    assert far.noise_m / near.noise_m > 2  # Noise grows at least with the square of distance.
+    assert far.noise_m / near.noise_m > 2  # Noise grows at least with the square of the distance.
 
 
 @pytest.mark.slow
 def test_point_spacing_is_depth_over_focal_length(mitsuba_renderer):
-    """Measured depth replaces the true depth, so the spacing is equally noisy."""
+    """The spacing is computed from measured depth, so it has the noise of depth."""
     few = replace(LITTLE, captures=2)
     certificate = certify(small_scanner(), renderer=mitsuba_renderer, seed=3, scope=few)
     for plane in certificate.facing:
@@ -76,7 +76,7 @@ def test_a_certificate_is_written_as_json_and_as_a_self_contained_page(certifica
     record = json.loads((tmp_path / "new" / "certificate.json").read_text())
     assert record["summary"]["temporal_noise_m"] == certificate.middle.noise_m
     assert len(record["planes"]) == len(certificate.planes)
-    assert record["planes"][-1]["noise_m"] is None  # one shot has no scatter
+    assert record["planes"][-1]["noise_m"] is None  # A single shot has no scatter.
     tags = _Tags()
     tags.feed(page.read_text(encoding="utf-8"))
     assert not tags.open and "script" not in tags.names and "link" not in tags.names
@@ -130,9 +130,9 @@ def test_progress_counts_every_scene(mitsuba_renderer):
 
 @pytest.mark.slow
 def test_a_scanner_without_noise_has_nearly_zero_errors_in_its_certificate(mitsuba_renderer):
-    """Only the projector's pixels limit it: each of n paths of a camera pixel sees one column,
-    evenly up to half a column off, so their mean is off by 1 / sqrt(12 n) columns. Without filters
-    that is the deviation of every point; a sphere's slope adds to it.
+    """Only the projector's pixels limit the accuracy. Each of n paths of a camera pixel sees one
+    column, up to half a column off, so their mean is off by 1 / sqrt(12 n) columns. Without
+    filters, this is the deviation of every point; the slope of a sphere adds to it.
     """
     scanner = replace(small_scanner(NOISELESS), rig=small_rig(finer=2))
     scope = Scope(distances=3, tilts_deg=(30.0, 60.0), spheres=4, bars=7, captures=2)
@@ -156,8 +156,9 @@ def test_a_scanner_without_noise_has_nearly_zero_errors_in_its_certificate(mitsu
 
 @pytest.mark.slow
 def test_a_baseline_error_of_a_thousandth_scales_all_lengths_by_a_thousandth(mitsuba_renderer):
-    """A point is where a camera ray meets a light plane, so it moves with the baseline along its
-    ray: the measured world is a scaled copy about the camera. Same seeds, same pictures.
+    """A point is where a camera ray meets a light plane, so it moves along its ray in proportion to
+    the baseline: the measured world is a copy scaled about the camera. Seeds and pictures are
+    equal.
     """
     truth = small_scanner()
     wrong = replace(truth, rig=small_rig(baseline_m=0.2 * 1.001))
@@ -179,8 +180,8 @@ def test_a_baseline_error_of_a_thousandth_scales_all_lengths_by_a_thousandth(mit
 
 @pytest.mark.slow
 def test_the_error_of_a_shot_includes_systematic_errors(mitsuba_renderer):
-    """A raster whose points lie off the pixels' centres moves the depth on a slope, in every shot
-    alike. Oracle: a plane z = z0 + tan(t) y rises by tan(t) z^2 / (z0 f) for each pixel.
+    """Raster points that are off the pixels' centres shift the depth of a slope equally in every
+    shot. Oracle: a plane z = z0 + tan(t) y rises by tan(t) z^2 / (z0 f) per pixel.
     """
     raster_px, tilt_deg, z_m = 0.2, 50.0, 0.7
     scanner = small_scanner(faults=FaultSpec(raster_px=raster_px))
@@ -190,7 +191,7 @@ def test_the_error_of_a_shot_includes_systematic_errors(mitsuba_renderer):
     raster_m = raster_px * math.tan(math.radians(tilt_deg)) * z_m / 190.0
     assert math.sqrt(steep.error_m**2 - steep.noise_m**2) == pytest.approx(raster_m, rel=0.05)
     assert steep.error_m == pytest.approx(steep.sigma_m, rel=0.05)
-    assert steep.noise_m < 0.5 * steep.sigma_m  # Sigma states the error and not this noise.
+    assert steep.noise_m < 0.5 * steep.sigma_m  # Sigma includes the error; this noise does not.
 
 
 @pytest.mark.slow
@@ -204,7 +205,7 @@ def test_a_plane_states_all_exposures_of_its_pictures(mitsuba_renderer):
 
 @pytest.mark.slow
 def test_half_an_exposure_gives_half_the_brightness(mitsuba_renderer):
-    """A single factor was once applied twice."""
+    """In an earlier version, a single factor was applied twice."""
     half, dim = (
         _exposed(mitsuba_renderer, exposure)
         for exposure in (ExposureSpec(target=0.4, factors=(0.5,)), ExposureSpec(target=0.2))
@@ -221,7 +222,7 @@ def test_automatic_exposures_are_stated_as_chosen(mitsuba_renderer):
     assert conditions(lab, 0)["exposures"] == "automatic"
     fixed = replace(lab, scanner=replace(scanner, exposure=replace(exposure, auto=False)))
     assert conditions(fixed, 0)["exposures"] == [1.0, 7.0]
-    # A plane of one colour has little contrast, so one exposure is enough.
+    # A plane of one colour has little contrast, so one exposure suffices.
     assert len(_exposed(mitsuba_renderer, exposure).exposures_s) == 1
 
 

@@ -1,4 +1,4 @@
-"""Fits and quantities on shapes whose errors are known in closed form."""
+"""Fits and measures of shapes whose errors are known in closed form."""
 
 import numpy as np
 import pytest
@@ -17,13 +17,13 @@ from graycast.score.metrology.measures import (
 )
 
 NORMAL = np.array([0.36, -0.48, 0.8])
-U, V = np.array([0.8, 0.6, 0.0]), np.array([-0.48, 0.64, 0.6])  # at right angles to it
+U, V = np.array([0.8, 0.6, 0.0]), np.array([-0.48, 0.64, 0.6])  # perpendicular to `NORMAL`
 
 
 def rippled_plane(amplitude_m, periods=5, n=200):
-    """A square of 1 m at 0.7 m along its normal, with a cosine of whole periods across it.
+    """Return a square of 1 m at 0.7 m along its normal, with whole periods of a cosine across it.
 
-    Even about the middle, so that it tilts no fit.
+    The cosine is even about the centre, so that it does not tilt a fitted plane.
     """
     a, b = (np.mgrid[0:n, 0:n] + 0.5).reshape(2, -1) / n
     ripple = amplitude_m * np.cos(2 * np.pi * periods * (a - 0.5))
@@ -31,7 +31,7 @@ def rippled_plane(amplitude_m, periods=5, n=200):
 
 
 def cap(radius_m, centre, *, n=3000, opening=np.pi / 3):
-    """Points spread evenly over the cap of a sphere that faces the origin."""
+    """Return random points that are uniform on the cap of a sphere that faces the origin."""
     rng = np.random.default_rng(2)
     cosine = rng.uniform(np.cos(opening), 1, n)
     turn = rng.uniform(0, 2 * np.pi, n)
@@ -47,9 +47,9 @@ def test_a_plane_is_fitted_exactly_to_its_points():
 
 
 def test_the_flatness_error_of_a_ripple_is_its_height_without_the_dropped_points():
-    """A cosine's distances go from -a to a. The 3 in 1000 beyond a cos(0.003 pi / 2) are no more
-    than 2e-5 of a, so the range is 2 a. Which peaks are dropped is chance: at worst all at one
-    edge, which moves the plane by 0.3 % of a and tilts it by three times that.
+    """Distances from a cosine range from -a to a. The 3 in 1000 points beyond a cos(0.003 pi / 2)
+    are within 2e-5 of a, so the range is 2 a. The dropped peaks are arbitrary: in the worst case,
+    all are at one edge, which moves the plane by 0.3 % of a and tilts it by three times that.
     """
     amplitude = 1e-3
     fit, off = flatness(rippled_plane(amplitude, periods=4))
@@ -59,7 +59,7 @@ def test_the_flatness_error_of_a_ripple_is_its_height_without_the_dropped_points
 
 
 def test_exactly_three_points_in_a_thousand_are_dropped():
-    point = rippled_plane(0.0, n=100)  # 10,000 points: 30 may go
+    point = rippled_plane(0.0, n=100)  # Of 10,000 points, 30 may be dropped.
     spikes = np.random.default_rng(0).choice(len(point), 31, replace=False)
     point[spikes[:30]] += 0.02 * NORMAL
     assert flatness(point)[1].range_m < 1e-12
@@ -88,8 +88,8 @@ def test_a_larger_sphere_has_a_size_error_and_no_form_error():
 
 
 def test_a_ripple_on_a_sphere_is_its_form_error_and_not_its_size():
-    """Waves around a cap's axis are at right angles to what centre and radius do; dropping 3
-    points in 1000 by chance moves the fit by a few times that share of the wave.
+    """Waves around a cap's axis are orthogonal to changes of centre and radius. Dropping any 3
+    points in 1000 moves the fit by a few times this share of the wave.
     """
     cosine, turn = (g.ravel() for g in np.meshgrid(np.linspace(0.5, 1, 60), np.arange(720) / 720))
     turn, sine = 2 * np.pi * turn, np.sqrt(1 - cosine**2)
@@ -120,7 +120,7 @@ def test_too_few_points_are_refused():
 
 @pytest.mark.parametrize("captures", [2, 8])
 def test_temporal_noise_equals_the_simulated_sigma(captures):
-    """The median of chi-squared over 40,000 pixels is good to about 1 %."""
+    """The median of chi-squared over 40,000 pixels has an error of about 1 %."""
     rng = np.random.default_rng(captures)
     truth = rng.uniform(0.9, 1.1, (200, 200))
     depth = (truth + rng.normal(0, 2e-4, (captures, 200, 200))).astype(np.float32)
@@ -129,7 +129,7 @@ def test_temporal_noise_equals_the_simulated_sigma(captures):
     chi_error = {2: 0.02, 8: 0.006}[captures]
     assert abs(temporal_noise_m(depth, everywhere) / 2e-4 - 1) < 3 * chi_error
     loud = truth + 1.1 * (depth - truth)
-    assert abs(temporal_noise_m(loud, everywhere) / 2e-4 - 1) > 3 * chi_error  # 10 % shows
+    assert abs(temporal_noise_m(loud, everywhere) / 2e-4 - 1) > 3 * chi_error  # 10 % is detected.
 
 
 def test_temporal_noise_without_points_is_unknown():
@@ -149,7 +149,7 @@ def test_point_spacing_is_depth_over_focal_length():
 
 @pytest.mark.parametrize("inverses", [False, True])
 def test_blur_reduces_the_modulation_of_a_bit(inverses):
-    """Every picture but white and black is drawn to the middle by a known share."""
+    """All pictures but white and black are blended with the mean by a known share."""
     code = gray(16, 4, axes=("column",), inverses=inverses)
     share = code.render().astype(float)[:, :, :] / 255
     contrast = {frame.name: 1 - 0.2 * max(0, 3 - frame.bit) for frame in code.frames[2:]}

@@ -1,4 +1,4 @@
-"""Settings of the page become a configuration, and a rig file for values without a key."""
+"""The page's settings become a configuration, and a rig file for values without a key."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +36,7 @@ def test_a_value_is_set_at_its_key_and_no_other_value_changes():
     assert after.content["exposure"] == {"target": 0.5, "percentile": 90}
     after = changed(after, "parts.0.material", {"roughness": 0.2})
     assert after.content["parts"] == [WORDS["parts"][0] | {"material": {"roughness": 0.2}}]
-    assert before.content == WORDS | {"exposure": {"target": 0.5}}  # an earlier state is kept
+    assert before.content == WORDS | {"exposure": {"target": 0.5}}  # The old state is unchanged.
     assert changed(after, "exposure.target", None).content["exposure"] == {"percentile": 90}
 
 
@@ -95,7 +95,7 @@ def test_a_changed_rig_is_saved_exactly_in_a_separate_file(path):
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("axis", ["column", "row"])
 def test_toe_in_rotates_the_axes_by_its_value_and_keeps_the_baseline(side, axis):
-    """Oracle: the angle between both axes; with more toe-in, they meet nearer."""
+    """Oracle: the angle between both axes, which meet closer to the rig if the toe-in is larger."""
     rig = preset_rig("like-phoxi-m")
     half_turn = np.diag([side, side, 1.0, 1.0])  # the projector on the other side
     quarter = np.eye(4)
@@ -129,7 +129,7 @@ def test_the_slider_for_a_surface_keeps_the_roughness_map(tmp_path):
 
 
 def test_each_control_of_a_setting_has_the_description_of_the_setting():
-    """Only values that the page itself scales have none: ambient light, and changes of the rig."""
+    """Only values that the page itself scales have no description: ambient light, and the rig."""
     config = Config.model_validate({"parts": [{"builtin": "toothpaste"}], "rig": "like-phoxi-m"})
     controls = described_controls(config, resolve_cell(config, Path()).scanner)["controls"]
     texts = {control["key"]: control["about"] for control in controls}

@@ -17,7 +17,7 @@ from graycast.show.live import serve
 
 pytestmark = pytest.mark.slow
 WAIT_MS = 120_000
-POLLING_MS = 50  # not at every frame, because a busy machine may paint none
+POLLING_MS = 50  # This replaces polling at every frame, because a busy machine may draw no frame.
 MOVES = 100
 
 
@@ -30,7 +30,7 @@ def server(tmp_path):
 
 @pytest.fixture
 def page(browser, server):
-    """Open the page and wait for its cell; messages of the browser fail the test."""
+    """Open the page and wait for its cell; any message of the browser fails the test."""
     complaints = []
     page = browser.new_page(viewport={"width": 1400, "height": 900})
     page.on("console", lambda message: complaints.append(message.text))
@@ -44,7 +44,7 @@ def page(browser, server):
 
 
 def finished(page, *, may_fail=False):
-    """Wait until the last request is shown with the quality of preview; an error ends the wait."""
+    """Wait until the last request is shown with all configured samples; an error ends the wait."""
     from playwright.sync_api import TimeoutError
 
     try:
@@ -66,7 +66,7 @@ def finished(page, *, may_fail=False):
 
 
 def act_and_wait(page, act, *, may_fail=False):
-    """Do something, and wait for its picture."""
+    """Perform an action, and wait for its picture."""
     before = page.get_attribute("#main", "data-asked")
     act()
     page.wait_for_function(
@@ -89,7 +89,7 @@ def controls(page):
 
 
 def other_value(control, now):
-    """Return another value within the bounds, near enough that the scene stays visible."""
+    """Return another value within the bounds, close enough that the scene stays visible."""
     low, high, step = control["low"], control["high"], control.get("step")
     if step is None:
         return float(f"{now * 1.3 if now * 1.3 < high else now / 1.3:.4g}")
@@ -127,7 +127,7 @@ def test_every_control_changes_its_setting_and_the_shown_picture(page, server):
         for control in controls(page):
             key = control["key"]
             if key in ("rig", "resolution") or key.endswith("builtin"):
-                continue  # The choices of presets come from lists that the code tests.
+                continue  # The options of a choice come from lists that are tested elsewhere.
             if "choices" in control:
                 label = {
                     "exposure.factors": "1 + 0.25",
@@ -209,9 +209,9 @@ def test_errors_are_shown_with_the_command_line_s_messages(page, server):
     )
     assert "no built-in part 'nothing': choose " in page.locator("#error").inner_text()
     failed, now = (page.get_attribute("#main", f"data-{name}") for name in ("failed", "asked"))
-    assert failed == now  # Otherwise, a test could wait for its picture.
+    assert failed == now  # Other tests wait for this.
     dimmed = "parseFloat(getComputedStyle(document.querySelector('#picture-side .stage')).opacity)"
-    assert page.evaluate(dimmed) < 0.5  # The picture has other settings than the page now.
+    assert page.evaluate(dimmed) < 0.5  # The picture shows other settings than the page.
     act_and_wait(page, lambda: page.click("#undo"))
     assert page.locator("#error").is_hidden()
     assert page.evaluate(dimmed) == 1
@@ -226,7 +226,7 @@ def test_all_figures_are_visible_in_a_window_of_1500_by_950(page):
 
 
 def test_the_page_of_a_cell_that_fails_to_render_has_its_controls(browser, page, server):
-    """Also a second page, and one opened after all were closed: the control can undo the change."""
+    """Even a page that is opened after all others were closed has controls to undo the change."""
     number = page.locator('[data-key="view.distance_m"] input[type=number]')
     number.fill("5")
     act_and_wait(page, lambda: number.press("Enter"), may_fail=True)
@@ -318,7 +318,7 @@ def resident(pid):
 
 
 def test_100_random_actions_cause_no_error_and_no_leak(page, server):
-    """Refusals of the configuration may occur: a bin can be too small for its parts."""
+    """The configuration may be refused: a bin can be too small for its parts."""
     rng = random.Random(3)
     listed = [one for one in controls(page) if "choices" not in one and one["cost"] != "physics"]
     listed = [one for one in listed if not one["key"].startswith("render.")]
@@ -347,9 +347,9 @@ def test_100_random_actions_cause_no_error_and_no_leak(page, server):
     page.goto("about:blank")
     deadline = time.monotonic() + 30
     while Path(f"/proc/{pid}").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)  # The session drops the process before it ends.
+        time.sleep(0.1)  # The session forgets the process before it ends.
     assert server.session.pid is None and not Path(f"/proc/{pid}").exists()
-    page.goto(server.url)  # The page returns with its settings: a picture, or the reason for none.
+    page.goto(server.url)  # The page keeps its settings, and shows a picture or an error.
     page.wait_for_function(
         "() => document.getElementById('main').dataset.shown !== undefined "
         "|| !document.getElementById('error').hidden",

@@ -1,4 +1,4 @@
-"""With any reuse of earlier results, a finished picture equals that of `make_scene`."""
+"""A finished picture equals that of `make_scene`, whichever earlier results are reused."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from graycast.show.live.showing import picture_answer
 
 
 class Watched:
-    """A line, its messages, and the requested cell."""
+    """A line with its messages and the requested cell."""
 
     def __init__(self, path: Path):
         self.path, self.answers, self.stop = path, [], False
@@ -35,9 +35,9 @@ class Watched:
         self.config = load_config(path)
 
     def show(self, *, ambient=1.0, power=1.0, unturned=None, **sections):
-        """Show the cell with other sections; return the kinds of pictures that came."""
+        """Show the cell with other sections; return the kinds of the pictures that were sent."""
         self.config = Config.model_validate(
-            self.config.model_dump(exclude_none=True) | sections  # as a user writes them
+            self.config.model_dump(exclude_none=True) | sections  # in the form that a user writes
         )
         self.answers.clear()
         self.ask = Ask(
@@ -52,7 +52,7 @@ class Watched:
         return [one.header["kind"] for one in self.answers if one.kind == "picture"]
 
     def look(self):
-        """Show another frame of the last result."""
+        """Show another frame of the latest result."""
         self.line.look(replace(self.ask, frame=1))
 
     def shot(self):
@@ -72,15 +72,15 @@ class Watched:
 
 @pytest.fixture(scope="module")
 def watched(tmp_path_factory):
-    """Stacks of 6 samples are rendered in three passes; those of `make_scene` in one."""
+    """Stacks of 6 samples are rendered in three passes; `make_scene` renders them in one."""
     path = write_cell(tmp_path_factory.mktemp("live"), render={"samples": 6})
     watched = Watched(path)
-    watched.line._opened(resolve_cell(watched.config, path.parent))  # before Mitsuba is imported
+    watched.line._opened(resolve_cell(watched.config, path.parent))  # This imports Mitsuba.
     from graycast.rendering.mitsuba import paths as mitsuba_paths
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mitsuba_paths, "PASS_SAMPLES", 2 * 160 * 120)
-        # Denoising takes half of the time of all tests below, and has nothing to do with them.
+        # Denoising would take half of the time of the tests below, but does not affect them.
         watched.show(render={"samples": 6, "denoise": False})
         yield watched
 
@@ -89,7 +89,7 @@ def watched(tmp_path_factory):
 def test_the_first_pictures_are_rough_and_the_last_equals_that_of_preview(watched):
     kinds = watched.show(seed=5, render={"samples": 6})
     pictures = [one for one in watched.answers if one.kind == "picture"]
-    assert [one.header["samples"] for one in pictures] == [1, 1, 4, 4, 6, 6]  # colour comes later
+    assert [one.header["samples"] for one in pictures] == [1, 1, 4, 4, 6, 6]  # colour comes second
     assert [one.header["exact"] for one in pictures] == [False] * 5 + [True]
     assert set(kinds) == {"physics"} and [one.kind for one in watched.answers].count("world") == 1
     watched.assert_finished()
@@ -98,7 +98,7 @@ def test_the_first_pictures_are_rough_and_the_last_equals_that_of_preview(watche
 
 @pytest.mark.slow
 def test_the_page_receives_the_result_in_its_own_formats(watched):
-    """Millimetres, column-major matrices of WebGL, and instances from 1; noise by its own law."""
+    """Lengths are in mm, matrices are column-major as in WebGL, and instances begin at 1."""
     watched.show(seed=3)
     content = watched.line.content
     (world,) = (one for one in watched.answers if one.kind == "world")
@@ -125,7 +125,7 @@ def test_the_page_receives_the_result_in_its_own_formats(watched):
     figures = picture_answer(ask, shifted, kind="look", ms=0.0, first=False).header["figures"]
     pixels = (content.rendering.truth.instance >= 0).sum()
     assert figures["bias_mm"] == pytest.approx(0.2, abs=4 * 1.25 * 0.1 / np.sqrt(pixels))
-    # The deviation of a deviation by the median is 1.17 / sqrt(n) of it.
+    # Estimated by the median, a standard deviation has a relative error of 1.17 / sqrt(n).
     assert figures["sigma_mm"] == pytest.approx(0.1, rel=4 * 1.17 / np.sqrt(pixels))
 
 
@@ -177,7 +177,7 @@ def test_a_change_of_the_sensor_is_evaluated_again_without_rendering(watched, se
 
 @pytest.mark.slow
 def test_more_light_is_scaled_at_once_and_then_rendered(watched):
-    """Oracle: light is linear. Scaled and rendered pictures differ by rounding only."""
+    """Oracle: light is linear, so scaled and rendered pictures differ only by rounding."""
     watched.show()
     unturned = watched.config
     light = unturned.light.model_dump(exclude_none=True)
@@ -212,7 +212,7 @@ def test_a_moved_rig_is_rendered_without_a_new_drop(watched):
 
 @pytest.mark.slow
 def test_a_changed_surface_is_rendered_and_a_changed_number_of_parts_dropped_again(watched):
-    watched.show()  # the slow suite has shown nothing before
+    watched.show()  # In the slow suite, nothing was shown before.
     box = watched.config.bin.model_dump(exclude_none=True)
     material = box["material"] | {"base_color": (0.8, 0.8, 0.8)}
     assert set(watched.show(bin=box | {"material": material})) == {"light"}
@@ -223,7 +223,7 @@ def test_a_changed_surface_is_rendered_and_a_changed_number_of_parts_dropped_aga
 
 @pytest.mark.slow
 def test_an_edited_file_is_read_again_even_if_its_name_is_unchanged(watched):
-    """A rig of another baseline decoded pictures of the old one; a changed box was not read."""
+    """An edited rig file once decoded pictures of the old rig; an edited mesh was not read."""
     folder = watched.path.parent
     rig_file, mesh_file = folder / "rig.yaml", folder / "box.stl"
     rig, mesh = rig_file.read_bytes(), mesh_file.read_bytes()
@@ -267,7 +267,7 @@ def test_changed_picture_files_of_a_cell_are_rendered_again(tmp_path, word):
 
 @pytest.mark.slow
 def test_a_new_request_interrupts_the_current_rendering(watched):
-    """Rough pictures are finished, so that a moving hand sees some."""
+    """Rough pictures are finished, so that a user who moves a slider sees some pictures."""
     passes, line = [], watched.line
 
     def on_pass(done, total):

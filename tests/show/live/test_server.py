@@ -1,4 +1,4 @@
-"""Access to the server, and its answers; nothing is rendered here."""
+"""Access to the server, and its answers; these tests render nothing."""
 
 import json
 import os
@@ -25,7 +25,7 @@ from graycast.show.live.session import Session
 
 @pytest.fixture
 def server(tmp_path, monkeypatch):
-    monkeypatch.setattr("graycast.show.live.server._BEAT_S", 0.01)  # it is asked to end after each
+    monkeypatch.setattr("graycast.show.live.server._BEAT_S", 0.01)  # The server must end quickly.
     with serve(write_cell(tmp_path), port=0, scene_id=0, device="cpu") as running:
         yield running
 
@@ -99,13 +99,13 @@ def test_settings_can_be_set_undone_redone_and_restored(server):
     do(server, do="set", key="exposure.target", value=0.5, draft=True)
     do(server, do="set", key="exposure.target", value=0.6)
     assert "target: 0.6" in session.state()["text"]
-    do(server, do="undo")  # the whole gesture
+    do(server, do="undo")  # undoes both drafts and the final value
     assert "target: 0.3" in session.state()["text"]
     do(server, do="redo")
     assert "target: 0.6" in session.state()["text"] and session.state()["redo"] == 0
     do(server, do="return", number=1)
     assert "target: 0.3" in session.state()["text"]
-    assert session.pid is None  # no page is open, so nothing is made
+    assert session.pid is None  # Without an open page, no picture is made.
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_used_port_and_a_wrong_file_are_reported(server, tmp_path):
 
 @pytest.mark.slow
 def test_a_saved_file_describes_the_cell_on_the_page(server):
-    """`test_line.py` tests that a shown cell equals `make_scene`'s."""
+    """`test_line.py` tests that the displayed cell equals that of `make_scene`."""
     for key, value in (("ambient", 2.5), ("rig.power", 0.7), ("rig.toe_in_deg", 0.5)):
         do(server, do="set", key=key, value=value)
     do(server, do="set", key="parts.0.material", value={"roughness": 0.1})
@@ -160,7 +160,7 @@ def test_a_saved_file_describes_the_cell_on_the_page(server):
 
 @pytest.mark.slow
 def test_a_page_opened_later_shows_why_the_picture_is_missing(server, monkeypatch):
-    """Otherwise a page whose stream was interrupted would wait for ever."""
+    """Without this message, a page whose stream was interrupted would wait for ever."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
     monkeypatch.setattr("graycast.show.live.session.PictureProcess", lambda **_: idle)
     session, refusal = server.session, {"error": "the bin is too small"}
@@ -179,14 +179,14 @@ def test_a_page_opened_later_shows_why_the_picture_is_missing(server, monkeypatc
         assert kinds() == ["state"]
         session._answered(replace(old, number=session.number))
         assert kinds() == ["state", "error"]
-        assert heard()[1].content == refusal | {"number": session.number}  # the page compares it
+        assert heard()[1].content == refusal | {"number": session.number}  # The page compares it.
         do(server, do="set", key="exposure.target", value=0.3)
         assert kinds() == ["state"]
 
 
 @pytest.mark.slow
 def test_a_page_opened_during_an_answer_receives_the_answer(server, monkeypatch):
-    """The answer arrives after the page has read the existing ones and before it listens."""
+    """The answer arrives after the page has read existing answers and before it listens."""
     idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
     monkeypatch.setattr("graycast.show.live.session.PictureProcess", lambda **_: idle)
     session = server.session
@@ -197,7 +197,7 @@ def test_a_page_opened_during_an_answer_receives_the_answer(server, monkeypatch)
         answers = newer(version)
         threads.append(threading.Thread(target=session._answered, args=(picture,)))
         threads[0].start()
-        threads[0].join(0.2)  # The thread ends, unless it waits for the page.
+        threads[0].join(0.2)  # The thread does not end if it waits for the page.
         return answers
 
     monkeypatch.setattr(session, "newer", newer_and_an_answer)
@@ -209,7 +209,7 @@ def test_a_page_opened_during_an_answer_receives_the_answer(server, monkeypatch)
 
 @pytest.mark.slow
 def test_a_killed_process_is_restarted_only_if_it_finished_a_picture(tmp_path):
-    """A killed process represents one that crashed, or that ran out of memory."""
+    """A killed process stands for a process that crashed or ran out of memory."""
     queue = SimpleQueue()
     session = Session(write_cell(tmp_path), device="cpu", on_message=queue.put)
 
@@ -227,17 +227,17 @@ def test_a_killed_process_is_restarted_only_if_it_finished_a_picture(tmp_path):
     error = heard("error")
     assert "ended by SIGKILL: it was started again" in error["error"] and "number" not in error
     assert session.pid not in (None, first)
-    os.kill(session.pid, signal.SIGKILL)  # The process has made nothing yet.
+    os.kill(session.pid, signal.SIGKILL)  # The process has not finished a picture yet.
     error = heard("error")
     assert "before it finished a picture: undo the" in error["error"]
     assert session.pid is None and error["number"] == session.number
-    session.open()  # A reloaded page does the same.
+    session.open()  # Reloading the page does the same.
     assert heard("picture")["number"] == session.number
     assert "target: 0.3" in session.state()["text"]
     session.close()
     assert session.pid is None
     while not queue.empty():
-        assert queue.get().kind != "error"  # the stopped process did not end on its own
+        assert queue.get().kind != "error"  # The process was stopped, so it did not crash.
 
 
 @pytest.mark.slow

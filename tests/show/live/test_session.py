@@ -40,9 +40,9 @@ def test_consecutive_drafts_are_a_single_undo_step(session):
     for ambient in (3.0, 4.0, 5.0):
         session.set("ambient", ambient, draft=True)
     assert where(session)[:2] == (5.0, 2)
-    session.set("ambient", 6.0)  # the mouse button is released
+    session.set("ambient", 6.0)  # The user releases the mouse button.
     assert where(session) == (6.0, 2, 0)
     session.undo()
     assert where(session) == (2.0, 1, 1)
-    session.set("ambient", 7.0, draft=True)  # another hand
+    session.set("ambient", 7.0, draft=True)  # The user begins another movement.
     assert where(session) == (7.0, 2, 0)

@@ -1,4 +1,4 @@
-"""Actions of a user of the page, and what the page shows, for tests with a browser."""
+"""Actions of a user on the page, and readers of the page's content, for tests with a browser."""
 
 from contextlib import contextmanager
 
@@ -39,7 +39,7 @@ def opened(page, report, scene_id, view=None):
 
 
 def pressed(page):
-    """Return the view that is shown."""
+    """Return the id of the active view."""
     return page.get_attribute('[data-view][aria-pressed="true"]', "data-view")
 
 
@@ -48,7 +48,7 @@ def scene_map(page, name):
 
 
 def canvas_pixels(page, canvas="picture"):
-    """Return a canvas's pixels from a copy, since browsers warn of canvases that are often read."""
+    """Return a canvas's pixels from a copy, because browsers warn if a canvas is read often."""
     data = page.evaluate(
         """(name) => {
             const copy = document.createElement("canvas");
@@ -63,7 +63,7 @@ def canvas_pixels(page, canvas="picture"):
 
 
 def place(page, row, column):
-    """Return the position of a pixel of the picture on the screen."""
+    """Return the position on the screen of a pixel of the picture."""
     box = page.locator("#picture").bounding_box()
     return (
         box["x"] + (column + 0.5) * box["width"] / 160,

@@ -22,7 +22,7 @@ def report(rig, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def report_with_frames(rig, tmp_path_factory):
-    """The same page with captured frames and decoded columns."""
+    """Build the same page with captured frames and decoded columns."""
     folder = tmp_path_factory.mktemp("kept")
     samples = write_dataset(folder / "bins", scene_ids=(0, 3), rig=rig, keeps=True)
     return folder / "bins", samples, write_report(folder / "bins", folder / "page").page

@@ -1,7 +1,7 @@
-"""A folder of picks made by hand, without light, physics or a planner, for the page.
+"""Make a folder of picks by hand, without light, physics or a planner, for tests of the page.
 
-Two boxes in a small bin, three scans: one box is picked, the other is lost during the motion, and
-then no box is detected.
+There are two boxes in a small bin and three scans. One box is picked, the other box is lost during
+the motion, and then no box is detected.
 """
 
 import numpy as np
@@ -88,7 +88,7 @@ def motion(robot, cell, *, place_m):
 
 
 def depth(cell, T_world_part):
-    """Return z of the nearest surface of bin and parts."""
+    """Return z of the nearest surface of the bin and the parts."""
     scene = cell.cell.scene
     T_cam_world, camera = inverse(scene.T_world_cam), scene.rig.camera
     things = [(bin_mesh(scene.bin), np.eye(4))]

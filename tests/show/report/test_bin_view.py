@@ -1,4 +1,4 @@
-"""The sheet shows the bin and its content; the camera looks straight down from 0.5 m."""
+"""The sheet shows the bin and its content to a camera that looks straight down from 0.5 m."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def truth_of(instance=None, depth_m=None):
 
 
 def part_at(row, column, depth_m):
-    """Return a part that covers 5 x 5 pixels from this pixel on, at a depth."""
+    """Return a part that covers the 5 x 5 pixels from the given pixel, at a depth."""
     instance, depth = np.full((HEIGHT, WIDTH), -1, dtype=np.int32), np.full((HEIGHT, WIDTH), 0.5)
     instance[row : row + 5, column : column + 5] = 0
     depth[row : row + 5, column : column + 5] = depth_m
@@ -68,7 +68,7 @@ def test_the_whole_picture_is_shown_if_no_bin_is_visible():
     aside[0, 3] = 5.0
     assert bin_crop(replace(scene_of(BOX), T_world_cam=aside), truth_of()) == whole
     behind = ABOVE.copy()
-    behind[:3, :3] = np.eye(3)  # The camera looks at the sky.
+    behind[:3, :3] = np.eye(3)  # The camera looks up, away from the bin.
     assert bin_crop(replace(scene_of(BOX), T_world_cam=behind), truth_of()) == whole
 
 

@@ -27,7 +27,7 @@ def test_shares_of_pictures_of_unequal_sizes_are_weighted_by_pixels():
 
 
 def pixels_of(out):
-    """Return the reasons of the parts' pixels of each scene, as its pictures have them."""
+    """Return the reasons of the parts' pixels in each scene, read from its pictures."""
     scenes = []
     for folder in sorted((out / "train").iterdir()):
         reason = cv2.imread(str(folder / "reason_sl/000000.png"), cv2.IMREAD_UNCHANGED)
@@ -40,7 +40,7 @@ def pixels_of(out):
 
 @pytest.mark.slow
 def test_the_run_statistics_card_and_page_state_the_same_share(tmp_path):
-    """One scene is empty, and the others differ. Oracle: a count of the pictures' pixels."""
+    """One scene is empty, and the others differ. Oracle: a count of the pixels in the pictures."""
     cell = load_cell(write_cell(tmp_path, count=[0, 9]))
     out = tmp_path / "out"
     results = []
@@ -49,7 +49,7 @@ def test_the_run_statistics_card_and_page_state_the_same_share(tmp_path):
     shares = [float((one == Reason.DECODED).mean()) if one.size else None for one in scenes]
     pooled = float((np.concatenate(scenes) == Reason.DECODED).mean())
     known = [share for share in shares if share is not None]
-    assert len(known) == 2 and abs(np.mean(known) - pooled) > 0.002  # The scenes are unequal.
+    assert len(known) == 2 and abs(np.mean(known) - pooled) > 0.002  # The scenes differ enough.
     assert [one.part_reasons.get("decoded") for one in results] == pytest.approx(shares)
     assert summary.part_reasons["decoded"] == pytest.approx(pooled)
     statistics = dataset_statistics(out)
@@ -77,7 +77,7 @@ def test_the_run_statistics_card_and_page_state_the_same_share(tmp_path):
 
 
 def test_the_record_of_a_rescan_gives_the_pixel_counts_of_its_shares():
-    """Shares of 7 of 12 and 2 of 5 pixels are read back as whole numbers."""
+    """Shares of 7 of 12 and of 2 of 5 pixels are converted back to whole numbers."""
     record = ImageRecord(
         seeds={},
         exposure_s=0.01,

@@ -1,4 +1,4 @@
-"""A dataset's web page: its files, and that only changed parts are built again."""
+"""A dataset's web page: its files, and the rule that only changed scenes are built again."""
 
 import base64
 import json
@@ -173,7 +173,7 @@ def test_pages_of_real_pictures_are_built(dataset, tmp_path):
 
 
 def test_every_file_for_the_browser_is_on_a_page(dataset, tmp_path):
-    """The names in Python and the files in `web` are the same, so none is missing or unused."""
+    """The names in Python and the files in `web` are the same: no file is missing or unused."""
     write_report(dataset, tmp_path / "page")
     web = {path.name for path in (resources.files(dataset_page.__package__) / "web").iterdir()}
     web -= {"types.d.ts"}  # Only TypeScript's checker reads this file.

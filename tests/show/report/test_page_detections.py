@@ -1,4 +1,4 @@
-"""A run's detections on the page: content of the scripts, and what a user sees."""
+"""A run's detections on the page: the content of the scripts, and the display."""
 
 import json
 
@@ -15,7 +15,7 @@ from .browsing import opened, ready, watched_page
 
 pytestmark = [
     pytest.mark.slow,
-    # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
+    # An array type of pycocotools 2.0.11 is older than NumPy 2, which warns about it.
     pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning"),
 ]
 
@@ -26,8 +26,8 @@ FALSE_BOX = [2.0, 3.0, 10.0, 12.0]
 def run_report(report, tmp_path_factory):
     """Write a page of scenes 0, 3 and 4 with the detections of a run on scenes 0 and 3.
 
-    In scene 0 all is found, with scores that fall from 0.9 by 0.1; in scene 3 the first instance
-    is missed and there is a false alarm of 0.85.
+    In scene 0, all instances are found, with scores that fall from 0.9 in steps of 0.1. In scene 3,
+    the first instance is missed, and there is a false alarm with the score 0.85.
     """
     dataset = report[0]
     examples = {scene_id: open_examples(dataset).read(scene_id) for scene_id in (0, 3)}
@@ -165,7 +165,7 @@ def test_a_higher_score_limit_shows_more_missed_parts_in_the_grid_and_in_a_scene
     page.click('.card[data-key="train-000000"] a')
     ready(page, "train-000000")
     page.select_option("#choose-foundKind", "all")
-    assert outlines(page, "hit") == 1  # only the outline with score 0.9
+    assert outlines(page, "hit") == 1  # Only the outline with the score 0.9 is drawn.
     assert outlines(page, "missed") == counted - 1
     move(page, "score-slider", 0)
     assert outlines(page, "missed") == 0
@@ -174,7 +174,7 @@ def test_a_higher_score_limit_shows_more_missed_parts_in_the_grid_and_in_a_scene
 
 
 def test_a_false_alarm_is_drawn_at_its_position(page, run_report):
-    """Oracle: the position of its box's pixels on the screen, from the picture's own position."""
+    """Oracle: the position of the box's pixels on the screen, from the position of the picture."""
     opened(page, run_report, 3)
     box = page.locator("#picture").bounding_box()
     outline = page.locator("#found path.mistake").bounding_box()

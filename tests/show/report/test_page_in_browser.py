@@ -21,7 +21,7 @@ NONE = "\N{EN DASH}"  # the page's text for a missing value
 
 
 def test_the_browser_shows_the_numbers_of_the_dataset(page, report):
-    """Oracle: the PNGs, pixel by pixel, through packing and JavaScript."""
+    """Oracle: the PNGs, pixel by pixel; the page's values went through packing and JavaScript."""
     dataset, samples, _ = report
     for scene_id in SCENES:
         opened(page, report, scene_id)
@@ -157,7 +157,7 @@ def test_pattern_bits_in_the_browser_equal_those_of_the_code(page, report):
 
 
 def slide(page, k):
-    """Move the slider to a frame, and wait until it is shown."""
+    """Move the slider to a frame, and wait until the frame is shown."""
     page.evaluate(
         """(k) => {
             const slider = document.getElementById("frame-slider");
@@ -176,7 +176,7 @@ def wait_for_frame(page, k):
 
 
 def grey(sample):
-    """Return frames in sRGB: black is the sensor's offset, white its saturation."""
+    """Return frames in sRGB: black is the sensor's offset, and white is its saturation."""
     sensor = sample.raw.capture.sensor
     share = (sample.raw.capture.frames - sensor.offset_dn) / (
         sensor.saturation_dn - sensor.offset_dn
@@ -185,25 +185,25 @@ def grey(sample):
 
 
 def encoded(share):
-    """Encode as in IEC 61966-2-1."""
+    """Return the sRGB encoding by IEC 61966-2-1, from 0 to 255."""
     share = share.clip(0, 1)
     return 255 * np.where(share < 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
 
 
 @pytest.mark.parametrize("gain", [1, 4])
 def test_dark_pictures_can_be_brightened(page, report_with_frames, gain):
-    """Oracle: the dataset's own linear picture, times the gain, through IEC 61966-2-1."""
+    """Oracle: the dataset's linear picture times the gain, encoded by IEC 61966-2-1."""
     opened(page, report_with_frames, 0, "white")
     page.select_option("#choose-gain", str(gain))
     stored = cv2.imread(
         str(report_with_frames[0] / "train/000000/gray_sl/000000.png"), cv2.IMREAD_UNCHANGED
     )
     picture = canvas_pixels(page)[..., 0].astype(float)
-    assert np.median(np.abs(picture - encoded(gain * (stored / 255)))) < 4  # noise through JPEG
+    assert np.median(np.abs(picture - encoded(gain * (stored / 255)))) < 4  # noise of JPEG
     x, y = place(page, 60, 80)
     page.mouse.move(x, y)
     level = int(readout(page, "white frame").split()[1])
-    assert level == pytest.approx(float(stored[60, 80]), abs=25)  # at any brightness
+    assert level == pytest.approx(float(stored[60, 80]), abs=25)  # independent of the gain
     page.select_option("#choose-gain", "1")
 
 
@@ -216,7 +216,7 @@ def test_captured_frames_are_loaded_only_when_they_are_shown(page, report_with_f
         slide(page, k)
         picture = canvas_pixels(page)[..., 0].astype(float)
         miss = np.abs(picture - stored).mean(axis=(1, 2))
-        assert miss.argmin() == k and miss[k] < 4, miss  # noise through JPEG
+        assert miss.argmin() == k and miss[k] < 4, miss  # noise of JPEG
         assert page.locator("#choose-frame").input_value() == str(k)
     assert "captured, 12 bit" in page.locator("span.note").inner_text()
 
@@ -228,7 +228,7 @@ def test_arrow_keys_bracket_keys_and_play_change_the_frame(page, report_with_fra
         page.keyboard.press(key)
         wait_for_frame(page, k)
     page.locator("#frame-slider").focus()
-    page.keyboard.press("ArrowLeft")  # This key belongs to the slider.
+    page.keyboard.press("ArrowLeft")  # The slider uses this key.
     wait_for_frame(page, 15)
     page.keyboard.press("p")
     assert page.locator("#frame-play").get_attribute("aria-pressed") == "true"
@@ -238,7 +238,7 @@ def test_arrow_keys_bracket_keys_and_play_change_the_frame(page, report_with_fra
     page.wait_for_timeout(700)
     assert page.evaluate("Graycast.prefs.frame") == stopped
     page.keyboard.press("p")
-    page.keyboard.press("1")  # another view: frames do not change invisibly
+    page.keyboard.press("1")  # In another view, the keys must not change the frame.
     page.wait_for_timeout(700)
     assert page.evaluate("Graycast.prefs.frame") in (stopped, stopped + 1)
     page.keyboard.press("3")
@@ -261,7 +261,7 @@ def test_ideal_bits_are_shown_next_to_captured_frames(page, report_with_frames):
 
 @pytest.mark.parametrize("axis", ["column", "sigma_column", "row", "sigma_row"])
 def test_decoded_positions_on_the_page_equal_the_stored_positions(page, report_with_frames, axis):
-    """Oracle: the code map in memory, through TIFF, packing and JavaScript."""
+    """Oracle: the code map in memory; the page's values went through TIFF, packing, JavaScript."""
     opened(page, report_with_frames, 0, "column")
     page.select_option("#choose-axis", axis)
     page.wait_for_function("Graycast.opened().scene.columns.maps")
@@ -298,7 +298,7 @@ def test_frame_and_column_under_the_pointer_are_shown(page, report_with_frames):
             assert abs(float(words[2]) - sigma[row, column]) < 0.01
         words = readout(page, "this frame").split()
         off_dn.append(int(words[1]) - int(shot.frames[0, row, column]))
-    assert np.abs(off_dn).max() < 200 and abs(np.mean(off_dn)) < 30  # of 4095: noise through JPEG
+    assert np.abs(off_dn).max() < 200 and abs(np.mean(off_dn)) < 30  # noise of JPEG, of 4095
     row, column = np.argwhere(np.isnan(codes.column))[20]
     page.mouse.move(*place(page, row, column))
     assert readout(page, "decoded column") == NONE
@@ -414,7 +414,7 @@ def test_zooming_keeps_the_same_pixel_under_the_pointer(page, report):
         page.mouse.wheel(0, -300)
     width = "document.querySelector('#picture').getBoundingClientRect().width"
     page.wait_for_function(f"{width} > 1500")
-    page.wait_for_timeout(300)  # including the last turn of the wheel
+    page.wait_for_timeout(300)  # until the last event of the wheel has been processed
     assert readout(page, "pixel") == "33, 80"
     page.keyboard.press("0")
     assert page.locator("#picture").bounding_box()["width"] < 1200
@@ -452,14 +452,14 @@ def test_the_3d_view_draws_the_selected_layers(page, report):
     opened(page, report, 0, "cloud")
     page.select_option("#choose-surfacePaint", "colour")
     page.select_option("#choose-pointPaint", "difference")
-    page.click("text=camera")  # the drawn side of the surface is the one that the camera saw
+    page.click("text=camera")  # The surface is drawn only on the side that the camera saw.
     both, first = colors()
     page.keyboard.press("s")
     points, second = colors()
     page.keyboard.press("p")
     nothing, _ = colors()
     assert both > 1000 and points > 30
-    assert nothing < 20  # the background, and its rounded corners
+    assert nothing < 20  # the background and its rounded corners
     assert np.abs(first.astype(int) - second).mean() > 1
     page.keyboard.press("s")
     surface, before = colors()
@@ -470,7 +470,7 @@ def test_the_3d_view_draws_the_selected_layers(page, report):
 
 
 def test_light_and_dark_themes_are_readable(page, report):
-    """The contrast of text and background is at least 7 in both."""
+    """The contrast between text and background is at least 7 in both themes."""
 
     def contrast():
         tone = page.evaluate(

@@ -46,7 +46,7 @@ def test_each_picture_has_a_card_that_the_search_finds_by_name(page):
 
 
 def test_a_switch_shows_the_scene_s_other_pictures(page, page_of_several, several):  # noqa: F811
-    """Oracle: the depth of each scanner; the open view stays."""
+    """Oracle: the depth of each scanner; the active view stays the same."""
     address, taken = page_of_several.as_uri(), several[1]
     opened(page, address, "train-000003-left-0")
     page.click('[data-view="scanner"]')
@@ -57,12 +57,12 @@ def test_a_switch_shows_the_scene_s_other_pictures(page, page_of_several, severa
         depth_m = np.nan_to_num(taken[3][place].scanner_depth.depth_m)
         assert depth_on_page(page) == pytest.approx(depth_m, abs=2e-5)
         assert pressed(page) == "scanner"
-    page.keyboard.press("n")  # after the last comes the first
+    page.keyboard.press("n")  # After the last picture comes the first.
     ready(page, "train-000003-left-0")
 
 
 def test_the_fused_cloud_is_on_the_parts_in_3d(page, page_of_several, several):  # noqa: F811
-    """Oracle: the points that the pictures measured, by their own cameras."""
+    """Oracle: the points that the pictures measured, from their own cameras."""
     opened(page, page_of_several.as_uri(), "train-000000-right-0")
     page.click('[data-view="cloud"]')
     before = page.screenshot(clip={"x": 50, "y": 150, "width": 800, "height": 500})
@@ -74,7 +74,7 @@ def test_the_fused_cloud_is_on_the_parts_in_3d(page, page_of_several, several): 
     )
     low, step, place, view, first = cloud
     point_m = (np.array(low) + step * np.array(place).reshape(-1, 3)) / 1000
-    assert set(view) == {0, 1, 2, 3} and 3 in first  # the hole of the first picture
+    assert set(view) == {0, 1, 2, 3} and 3 in first  # 3 is the hole in the first picture.
     assert len(point_m) > 19000 and point_m[:, 2].min() > -2e-3 and point_m[:, 2].max() < 0.1
     after = page.screenshot(clip={"x": 50, "y": 150, "width": 800, "height": 500})
     assert before != after

@@ -1,4 +1,4 @@
-"""Finding, selecting, tagging, saving and comparing scenes on the page, as a user does it."""
+"""Searching, selecting, tagging, saving and comparing scenes on the page, as a user does it."""
 
 import json
 
@@ -16,7 +16,7 @@ from .browsing import canvas_pixels, opened, place, pressed, readout, ready, sce
 
 pytestmark = [
     pytest.mark.slow,
-    # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
+    # An array type of pycocotools 2.0.11 is older than NumPy 2, which warns about it.
     pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning"),
 ]
 
@@ -42,7 +42,7 @@ def focused(page):
 
 
 def tag(page, text):
-    """Tag the selected scenes, or the open scene, by keys."""
+    """Tag the selected scenes, or the open scene, with the keyboard."""
     page.keyboard.press("g")
     page.keyboard.type(text)
     page.keyboard.press("Enter")
@@ -99,7 +99,7 @@ def test_cards_can_be_selected_and_opened_by_keys(page):
     ready(page, "train-000004")
     page.keyboard.press("Escape")
     ready(page, "overview")
-    assert focused(page) == "train-000004"  # the keys continue from the last scene
+    assert focused(page) == "train-000004"  # The selection continues from the last scene.
 
 
 def test_tags_of_selected_scenes_are_kept_and_can_be_searched(page):
@@ -117,7 +117,7 @@ def test_tags_of_selected_scenes_are_kept_and_can_be_searched(page):
     ]
     page.keyboard.press("Escape")
     assert page.locator("#ticked").is_hidden()
-    page.reload()  # This is like a visit on another day.
+    page.reload()  # Tags must survive a reload.
     ready(page, "overview")
     page.select_option("#pick-tag", "=odd")
     assert cards(page) == ["train-000000", "train-000004"]
@@ -158,7 +158,7 @@ def test_export_and_page_read_a_saved_selection(page, report, tmp_path):
     assert main([*command, "--out", str(tmp_path / "yolo")]) == 0
     assert [p.stem for p in (tmp_path / "yolo/images/train").iterdir()] == ["000004"]
 
-    page.evaluate("localStorage.clear()")  # another browser
+    page.evaluate("localStorage.clear()")  # This simulates another browser.
     page.reload()
     ready(page, "overview")
     assert page.locator("#save").inner_text() == "save 3 shown"
@@ -192,7 +192,7 @@ def test_a_selection_of_another_dataset_is_refused(page, tmp_path):
 
 
 def test_tags_of_another_dataset_are_not_shown(page, report, tmp_path):
-    write_dataset(tmp_path / "bins", scene_ids=(4,))  # with the same name and another rig
+    write_dataset(tmp_path / "bins", scene_ids=(4,))  # a dataset of the same name with another rig
     page.keyboard.press("End")
     page.keyboard.press("x")
     tag(page, "odd")
@@ -212,7 +212,7 @@ def test_scenes_are_visible_in_a_low_window(page):
 
 
 def test_the_plot_of_errors_has_the_range_of_most_points(page):
-    """A few wrong points at 40 mm among errors of 0.1 mm: the core covers many bins."""
+    """A few wrong points are at 40 mm, and most errors are about 0.1 mm, which cover many bins."""
     page.evaluate(
         """() => {
             const high = (k) => 1000 * (21 - Math.abs(k - 20));
@@ -241,7 +241,7 @@ def test_a_single_value_is_shown_as_text_and_not_as_a_plot(page):
     page.wait_for_function("localStorage.getItem('graycast-figures-shut') === 'yes'")
     page.reload()
     ready(page, "overview")
-    assert not page.locator(".plots").is_visible()  # unchanged
+    assert not page.locator(".plots").is_visible()  # The choice is remembered.
     page.click(".figures > summary")
     page.wait_for_selector(".plot svg")
 
@@ -277,19 +277,19 @@ def test_two_views_are_compared_by_a_slider(page, report):
     page.locator("#swipe").focus()
     page.keyboard.press("ArrowRight")
     assert abs(page.evaluate(share) - 27) <= 1
-    ready(page, "train-000000")  # an arrow key on the slider does not open the next scene
+    ready(page, "train-000000")  # An arrow key on the slider does not open the next scene.
     first, second = canvas_pixels(page)[..., :3], canvas_pixels(page, "picture-2")[..., :3]
     pixels_of = on_screen(page)
     for column, expected in ((10, first), (30, first), (60, second), (150, second)):
         np.testing.assert_array_equal(pixels_of(column), expected[20:110:10, column])
-    page.select_option("#choose-second", "color")  # the two change places
+    page.select_option("#choose-second", "color")  # This exchanges the two views.
     assert (pressed(page), page.locator("#choose-second").input_value()) == ("reasons", "color")
     page.keyboard.press("c")
     assert page.locator("#swipe").is_hidden() and page.locator("#picture-2").is_hidden()
 
 
 def on_screen(page):
-    """Return what the user sees at every tenth pixel of a column of the picture."""
+    """Return a function that reads the screen at every tenth pixel of a column of the picture."""
     data = page.screenshot()
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 
@@ -348,7 +348,7 @@ def test_the_3d_view_starts_with_different_colours_for_parts_and_scan(page, repo
 
 
 def test_depth_steps_do_not_change_the_normal_of_a_plane(page, report):
-    """Oracle: the plane's own normal; steps of 2 mm would tilt normals of neighbours by 45 deg."""
+    """Oracle: the plane's normal; with steps of 2 mm, central differences would be 45 deg off."""
     opened(page, report, 0)
     normals = page.evaluate(
         """() => {
@@ -379,7 +379,7 @@ def test_depth_steps_do_not_change_the_normal_of_a_plane(page, report):
 
 @pytest.mark.parametrize("size", SIZES)
 def test_toolbars_have_one_row_and_no_elements_overlap(page, report_with_frames, size):
-    """A wrapped row is higher than its highest control; controls do not overlap."""
+    """A row that wraps is higher than its highest control; controls do not overlap."""
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.goto(report_with_frames[2].as_uri())
     ready(page, "overview")
@@ -397,7 +397,7 @@ def test_toolbars_have_one_row_and_no_elements_overlap(page, report_with_frames,
 
 
 def rows(page, name):
-    """Return the number of rows of a toolbar's controls, none of which may overlap."""
+    """Return the number of rows of a toolbar's controls; fail if controls overlap."""
     boxes = page.eval_on_selector_all(
         f"{name} > *",
         """all => all.map((e) => e.getBoundingClientRect())

@@ -15,7 +15,7 @@ from graycast.world.parts import Material, Mesh, Part, Symmetry, builtin_part, m
 
 
 def block(size_m, *, name="block", density_kg_m3=2000.0, material=None, symmetry=None, at=0.0):
-    """Return a cuboid with its low corner at (at, at, at)."""
+    """Return a cuboid whose lowest corner is at (at, at, at)."""
     corner = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)]) * np.array(size_m) + at
     faces = [[0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
              [2, 6, 7], [2, 7, 3], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5]]  # fmt: skip
@@ -30,7 +30,7 @@ def block(size_m, *, name="block", density_kg_m3=2000.0, material=None, symmetry
 
 
 def cut_corner(part):
-    """Return the tetrahedron at a block's low corner: it has no symmetry that could hide a sign."""
+    """Return the tetrahedron at a block's lowest corner, whose asymmetry reveals sign errors."""
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     return replace(part, mesh=Mesh(vertices_m=part.mesh.vertices_m[[0, 1, 2, 4]], faces=faces))
 
@@ -44,13 +44,13 @@ def test_the_mass_of_a_part_is_volume_times_density_for_any_frame(at):
 
 
 def test_the_mass_of_a_ring_follows_the_theorem_of_pappus():
-    """Oracle: V = 2 pi * (radius of the profile's centroid) * (its area); steel of 7800 kg/m3."""
+    """Oracle: V = 2 pi * (radius of the profile's centroid) * (its area); steel has 7800 kg/m3."""
     from graycast.world.parts.builtin import RING_PROFILE_MM
 
     r, z = np.array(RING_PROFILE_MM).T
     cross = r * np.roll(z, -1) - np.roll(r, -1) * z
-    moment_mm3 = ((r + np.roll(r, -1)) * cross).sum() / 6  # area times centroid radius
-    # 128 straight facets enclose sin(x) / x of the circle's area, x = 2 pi / 128.
+    moment_mm3 = ((r + np.roll(r, -1)) * cross).sum() / 6  # area times radius of the centroid
+    # 128 straight facets enclose the share sin(x) / x of a circle's area, with x = 2 pi / 128.
     facets = np.sinc(2 / 128)
     expected_kg = 7800 * 2 * np.pi * abs(moment_mm3) * 1e-9 * facets
     assert mass_kg(builtin_part("metal_workpiece_2")) == pytest.approx(expected_kg, rel=1e-6)
@@ -91,7 +91,7 @@ def test_the_table_has_sizes_masses_materials_and_symmetries():
         "4 equivalent poses",
     ]
     assert cells[2][4:6] == ["Lambertian, colour 0.5 0.5 0.5", "none"]
-    # Columns are aligned: every size ends where its heading does.
+    # The columns are aligned, so every size ends at the end of its heading.
     ends = {row.index(cell[1]) + len(cell[1]) for row, cell in zip(rows, cells, strict=True)}
     assert ends == {head.index("size [mm]") + len("size [mm]")}
 
@@ -101,7 +101,7 @@ def test_the_table_has_sizes_masses_materials_and_symmetries():
 
 @pytest.mark.parametrize("size_m", [(0.002, 0.001, 0.0015), (0.19, 0.04, 0.05), (0.3, 0.2, 1.2)])
 def test_a_part_of_any_size_fills_its_tile(size_m):
-    """All its vertices are within 86 % of the tile about the middle, and one is at this limit."""
+    """All vertices are within 86 % of the tile about its centre, and one is at this limit."""
     scene, layout = portrait_scene(cut_corner(block(size_m, at=3.0)))
     world = transform_points(layout.T_world_part[0], scene.parts[0].mesh.vertices_m)
     camera = scene.rig.camera
@@ -141,5 +141,5 @@ def test_the_picture_shows_each_part_in_its_own_colour_on_a_grey_floor(mitsuba_r
     # Both are the same block, so they cover the same share of their tiles.
     assert areas[0] == pytest.approx(areas[1], rel=0.1) and areas[0] > 0.15 * 480 * 360
     assert middles[1] - middles[0] == pytest.approx(480 + 24, abs=10)
-    corner = sheet[72 + 340, 24 + 20]  # floor near the first tile's lower left
+    corner = sheet[72 + 340, 24 + 20]  # the floor near the first tile's lower left corner
     assert np.ptp(corner) < 20 and 90 < corner.mean() < 240

@@ -1,4 +1,4 @@
-"""Picks as a page: positions of objects, and refused input."""
+"""The page of picks: positions of bodies, and refused input."""
 
 import base64
 import json
@@ -44,7 +44,7 @@ def motions(replay, picks):
 
 @pytest.fixture
 def copied(picks, tmp_path):
-    """Copy the picks with the cell's own files."""
+    """Copy the picks with the files of their cell."""
     return shutil.copytree(picks.parent, tmp_path / "cell") / "picks"
 
 
@@ -58,7 +58,7 @@ def unpacked(text, kind="<f4"):
 
 
 def test_the_links_of_the_robot_have_the_poses_of_its_kinematics(replay, motions):
-    """Law: the last link's pose relative to the flange is that of the URDF at every time."""
+    """Law: the last link's pose relative to the flange is constant, as in the URDF."""
     motion, robot = motions[0], replay.robot
     assert motion.T_world_limb.shape[:2] == (STEPS, len(replay.limbs))
     q = json.loads((replay.folder / "bins/000000/motion.json").read_text())["attempts"][0]["q"]
@@ -66,13 +66,13 @@ def test_the_links_of_the_robot_have_the_poses_of_its_kinematics(replay, motions
         T = replay.cell.T_world_base @ robot.flange(np.array(q[i]))
         to_flange = inverse(motion.T_world_limb[i, motion.carrier]) @ T
         np.testing.assert_allclose(to_flange, rigid(np.eye(3), np.array([0, 0, 0.0996])), atol=1e-9)
-        tip = motion.T_world_limb[i, -1]  # the cup's frame is the tip's
+        tip = motion.T_world_limb[i, -1]  # The cup's frame is the tip's frame.
         np.testing.assert_allclose(tip, T @ T_flange_tip(replay.cell.config.tool), atol=1e-9)
 
 
 @pytest.mark.slow
 def test_picks_of_several_folders_are_counted_and_compared(picks, capsys, tmp_path):
-    """Computed by hand: of four grips in two bins, two removed a part and two lost it."""
+    """Counted by hand: of four grips in two bins, two removed a part and two lost the part."""
     other = shutil.copytree(picks, tmp_path / "other")
     plot = tmp_path / "runs.png"
     assert main(["robot", "summary", str(picks), str(other), "--out", str(plot)]) == 0
@@ -85,13 +85,13 @@ def test_picks_of_several_folders_are_counted_and_compared(picks, capsys, tmp_pa
 
 
 def test_a_carried_part_keeps_its_pose_in_the_tool(replay, motions, picks):
-    """Law: the frames of tool and part keep their relative pose."""
+    """Law: the relative pose of tool and part is constant."""
     motion = motions[0]
     before = np.array(read_episodes(picks)[0].attempts[0]["T_world_part"][0])
     assert T_world_part(motion, GRIP - 1, before) is None
     for i in range(GRIP, STEPS):
         to_part = inverse(motion.T_world_limb[i, -1]) @ T_world_part(motion, i, before)
-        np.testing.assert_allclose(to_part, FROM_GRIP_TO_PART, atol=1e-4)  # angles: 5 digits
+        np.testing.assert_allclose(to_part, FROM_GRIP_TO_PART, atol=1e-4)  # Angles have 5 digits.
     assert motion.held_until_s == pytest.approx(STEP_S * (STEPS - 1))
 
 
@@ -106,7 +106,7 @@ def test_a_lost_part_is_released_at_the_time_of_its_loss(motions):
 
 
 def test_packed_poses_are_unpacked_to_the_same_poses(motions):
-    """Oracle: SciPy rotates the quaternions; between two times, none changes its sign."""
+    """Oracle: SciPy converts the quaternions; no quaternion changes its sign between two times."""
     T = motions[0].T_world_limb
     places = unpacked(packed_places(T)).reshape(*T.shape[:2], 7)
     np.testing.assert_allclose(places[..., :3], 1e3 * T[..., :3, 3], atol=1e-3)
@@ -116,7 +116,7 @@ def test_packed_poses_are_unpacked_to_the_same_poses(motions):
 
 
 def test_quaternions_over_a_full_rotation_have_no_jump():
-    """About any axis, a full rotation passes the quaternion's change of sign."""
+    """A full rotation about any axis passes the point at which a quaternion changes its sign."""
     angles = np.linspace(0, 4 * np.pi, 200)
     T = np.stack([rigid(Rotation.from_rotvec([0, a, 0]).as_matrix(), np.zeros(3)) for a in angles])
     places = unpacked(packed_places(T[:, None])).reshape(-1, 7)
@@ -124,7 +124,7 @@ def test_quaternions_over_a_full_rotation_have_no_jump():
 
 
 def test_the_inside_of_the_bin_is_visible_from_every_side(replay):
-    """Only the inside and the rim of the bin are drawn: no face looks outwards."""
+    """Only the inner sides and the rim of the bin are drawn; no face points outwards."""
     mesh = open_bin(replay.cell.box)
     corner = mesh.vertices_m[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -243,7 +243,7 @@ def test_a_wrong_option_is_reported_in_one_line(picks, tmp_path, capfd, words, m
 
 def test_the_kind_of_each_part_is_required_in_a_mixed_cell(replay, picks):
     episode = replace(read_episodes(picks)[0], kinds=())
-    assert replay.kinds(episode) == (0, 0)  # there is only one kind
+    assert replay.kinds(episode) == (0, 0)  # The cell has only one kind.
     scene = replay.cell.cell.scene
     two = replace(scene, parts=(*scene.parts, replace(scene.parts[0], name="other")))
     mixed = replace(replay, cell=replace(replay.cell, cell=replace(replay.cell.cell, scene=two)))

@@ -28,7 +28,7 @@ def address(picks, tmp_path_factory):
 
 @pytest.fixture
 def page(browser, address):
-    """Open all bins; at the end, any message of the browser fails the test."""
+    """Open the list of bins; at the end, any message of the browser fails the test."""
     with watched_page(browser, address) as page:
         yield page
 
@@ -50,7 +50,7 @@ def at(page, time_s):
 
 
 def matrices(page, script):
-    """Return matrices column by column, in millimetres."""
+    """Return the browser's column-major matrices [mm] as poses [m]."""
     values = page.evaluate(f"({script}).map((m) => Array.from(m))")
     T = np.array(values, dtype=float).reshape(-1, 4, 4).transpose(0, 2, 1)
     T[:, :3, 3] *= 1e-3
@@ -58,7 +58,7 @@ def matrices(page, script):
 
 
 def test_the_browser_and_python_give_the_robot_links_the_same_poses(page, address, picks):
-    """Oracle: the robot's own kinematics; between two times, the mean of both."""
+    """Oracle: the robot's kinematics; between two times, the mean of both poses."""
     replay = open_replay(picks, folder=picks.parent)
     motions = read_motions(replay, read_episodes(picks)[1])
     opened(page, address, "bin-000002/0")
@@ -74,14 +74,14 @@ def test_the_browser_and_python_give_the_robot_links_the_same_poses(page, addres
 
 
 def test_the_part_moves_with_the_tool_until_its_release(page, address, picks):
-    """Oracle: `T_world_part`; a lost part is shown at its pose in the next scan."""
+    """Oracle: `T_world_part`; after its loss, a part is at its pose in the next scan."""
     replay = open_replay(picks, folder=picks.parent)
     episode = read_episodes(picks)[0]
     motion = read_motions(replay, episode)[1]
     before = np.array(episode.attempts[1]["T_world_part"][0])
     opened(page, address, "bin-000000/1")
     part = "Graycast.opened().content.attempts[1].parts[0]"
-    for i in range(0, STEPS, 3):  # No step is the exact time of the release.
+    for i in range(0, STEPS, 3):  # No step is exactly at the time of the release.
         time_s = STEP_S * i
         script = f"Graycast.carried(Graycast.opened().scan.motion, {time_s + 1e-9}, {part})"
         expected = T_world_part(motion, i, before)
@@ -108,7 +108,7 @@ def test_the_scan_on_the_page_equals_the_stored_depth(page, address, picks):
 
 
 def test_points_of_the_scan_are_on_the_true_parts(page, address, picks):
-    """Law: the scan was made of these parts, so above the floor all its points are on them."""
+    """Law: the scan shows these parts, so all its points above the floor are on them."""
     opened(page, address, "bin-000000/0")
     points = page.evaluate(
         """() => {
@@ -144,11 +144,11 @@ def test_the_3d_view_draws_the_selected_layers(page, address):
         assert (np.abs(pictures[-1] - pictures[-2]).max(axis=2) > 20).mean() > 5e-4, key
     before = picture()
     at(page, 0)
-    assert np.abs(picture() - before).max() <= 2  # no robot, and the part is not lifted yet
+    assert np.abs(picture() - before).max() <= 2  # The robot is hidden; the part is not lifted yet.
     page.keyboard.press("r")
     here = picture()
     at(page, 1)
-    assert (np.abs(picture() - here).max(axis=2) > 20).mean() > 5e-3  # the arm has moved
+    assert (np.abs(picture() - here).max(axis=2) > 20).mean() > 5e-3  # The arm has moved.
 
 
 def test_the_play_button_shows_all_attempts(page, address):
@@ -170,7 +170,7 @@ def test_attempts_are_listed_and_filtered_by_outcome(page, address):
     assert page.locator(".strip a:not(.dim)").count() == 2
     page.click('[data-bin="bin-000002"] .open')
     ready(page, "bin-000002")
-    assert page.locator("#ended h1").inner_text() == "lost seal"  # the first that is looked for
+    assert page.locator("#ended h1").inner_text() == "lost seal"  # the first selected attempt
     assert page.locator(".attempt").count() == 1
     page.keyboard.press("Escape")
     ready(page, "overview")
@@ -205,14 +205,14 @@ def test_a_missing_bin_is_reported(page, address):
 
 
 def test_no_two_rows_in_the_table_of_seconds_have_the_same_name(page):
-    """The scanner's own seconds and those of computing a scan are different."""
+    """The scanner's time and the computing time of a scan are different rows."""
     names = page.locator("#stages th").all_inner_texts()
     assert len(names) >= 3 and len(names) == len(set(names))
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (1024, 768)])
 def test_all_bins_fill_the_window(page, size):
-    """Law: a card of each bin is next to the other one, with its picture, down to the edge."""
+    """Law: the bins' cards are next to each other, with pictures, and fill the window."""
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.wait_for_function(
         "[...document.querySelectorAll('.bin img')].every((i) => i.naturalWidth === 160)"

@@ -1,4 +1,4 @@
-"""The contact sheet of a small scene whose pixels are written down here."""
+"""The contact sheet of a small scene whose pixels are defined in this file."""
 
 from dataclasses import replace
 
@@ -30,8 +30,8 @@ WIDTH, HEIGHT = 80, 60
 F_PX, BASELINE_M, WALL_M = 100.0, 0.1, 0.5
 CODE = gray(64, 48)
 SENSOR = SensorSpec()
-SIDE = slice(20, 40), slice(30, 50)  # rows and columns of the one instance
-# The camera is tilted, so that no test passes because two frames coincide by chance.
+SIDE = slice(20, 40), slice(30, 50)  # rows and columns of the only instance
+# The camera is tilted, so that no two frames coincide by chance.
 T_WORLD_CAM = rigid(axis_rotation("x", 2.5) @ axis_rotation("z", 0.4), np.array([0.3, -0.2, 0.9]))
 
 
@@ -59,7 +59,7 @@ def rig():
 
 
 def quarters():
-    """Return red, green over blue, white: every rotation and mirror image of it differs."""
+    """Return red, green over blue, white; all its rotations and mirror images are different."""
     image = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
     image[:30, :40], image[:30, 40:] = (255, 0, 0), (0, 255, 0)
     image[30:, :40], image[30:, 40:] = (0, 0, 255), (255, 255, 255)
@@ -67,7 +67,7 @@ def quarters():
 
 
 def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=None):
-    """Return a wall at WALL_M with one instance in its plane, decoded except for `reason`."""
+    """Return a wall at WALL_M with an instance in its plane; `reason` marks missing depth."""
     truth_m = np.full((HEIGHT, WIDTH), WALL_M, dtype=np.float32)
     reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8) if reason is None else reason
     if scanned is None:
@@ -129,7 +129,7 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
 
 @pytest.fixture
 def tiles(monkeypatch, tmp_path):
-    """Draw a shot; return its figure, and its tiles by title."""
+    """Return a function that draws a shot and returns the figure and its tiles by title."""
 
     def tiles_of(shot):
         figures = []
@@ -151,16 +151,16 @@ def image(ax):
 
 @pytest.mark.slow
 def test_pictures_are_upright_and_not_mirrored_on_the_sheet(tmp_path):
-    """Oracle: the order of four pure colours, located on the sheet by colour only."""
+    """Oracle: the order of four pure colours, which are located on the sheet only by colour."""
     preview.draw_preview(make_shot(), CODE, tmp_path / "sheet.png")
     sheet = np.array(Image.open(tmp_path / "sheet.png").convert("RGB")).astype(int)
     assert sheet.shape[1] == 2400
-    first = sheet[:600, :610]  # the colour picture is the first of four in a row
+    first = sheet[:600, :610]  # The colour picture is the first of four tiles in a row.
     middle = {}
     for name, color in (("red", (255, 0, 0)), ("green", (0, 255, 0)), ("blue", (0, 0, 255))):
         rows, columns = np.nonzero(np.abs(first - color).sum(axis=-1) < 8)
         middle[name] = rows.mean(), columns.mean()
-        # A tile of 571 x 428 has four quarters; blending may use a border of a few pixels.
+        # A tile of 571 x 428 has four quarters; blending may blur a border of a few pixels.
         assert rows.size == pytest.approx(571 * 428 / 4, rel=0.04)
     assert middle["red"][0] == pytest.approx(middle["green"][0], abs=2)
     assert middle["red"][1] == pytest.approx(middle["blue"][1], abs=2)
@@ -205,7 +205,7 @@ def test_the_heading_of_a_sheet_lists_all_exposures_of_the_scan(tiles):
 
 @pytest.mark.slow
 def test_the_heading_lists_an_exposure_that_no_pixel_uses(tiles):
-    """All pixels use the longest of four exposures; the head lists the other three, too."""
+    """All pixels use the longest of four exposures; the heading lists the other three, too."""
     shot = make_shot()
     times_s = (0.001, 0.01, 0.1, 0.4)
     single = [replace(shot.capture, exposure_s=time_s) for time_s in times_s]
@@ -265,7 +265,7 @@ def test_every_tile_except_the_close_up_shows_the_bin_whose_size_is_stated(tiles
         assert ax.get_xlim() == (left - 0.5, left + width - 0.5), title
         assert ax.get_ylim() == (top + height - 0.5, top - 0.5), title
     assert framing_line(scene, shot.sample.layout) in figure.texts[0].get_text()
-    # Parts and bin are between 0.4 and 0.5 m from the camera.
+    # The parts and the bin are between 0.4 and 0.5 m from the camera.
     bar = [ax for ax in figure.axes if ax.texts and "both depths" in ax.texts[0].get_text()]
     assert bar[0].get_xlim() == pytest.approx((398.0, 502.0), abs=1e-3)
 
@@ -277,14 +277,14 @@ def test_frames_range_from_the_dark_level_to_saturation(tiles):
     half_dn = SENSOR.offset_dn + (SENSOR.saturation_dn - SENSOR.offset_dn) / 2
     frames[0, :, 40:] = round(half_dn)
     white = image(tiles(make_shot(frames=frames))[1]["white frame"])
-    # 188 is half of white in sRGB (IEC 61966-2-1).
+    # In sRGB (IEC 61966-2-1), 188 is half of white.
     assert np.unique(white[:, :20]).tolist() == [0]
     assert np.unique(white[:, 20:40]).tolist() == [255]
     assert np.unique(white[:, 40:]).tolist() == [188]
 
 
 def test_the_sheet_shows_the_third_coarsest_bit_and_the_finest_bit(tiles):
-    """Each frame has its own level; 64 columns have the bits 5 to 0, after white and black."""
+    """Each frame has its own level. After white and black, 64 columns have the bits 5 to 0."""
     level = np.arange(len(CODE.frames), dtype=np.uint16)[:, None, None] * 200 + 100
     frames = np.broadcast_to(level, (len(CODE.frames), HEIGHT, WIDTH)).copy()
     _, by_title = tiles(make_shot(frames=frames))
@@ -292,7 +292,7 @@ def test_the_sheet_shows_the_third_coarsest_bit_and_the_finest_bit(tiles):
     assert list(values) == ["column bit 3, stripes of 16 codes", "column bit 0, stripes of 2 codes"]
     linear = {t: (((v / 255) + 0.055) / 1.055) ** 2.4 for t, v in values.items()}
     got_dn = [64 + share * (SENSOR.saturation_dn - 64) for share in linear.values()]
-    assert got_dn == pytest.approx([4 * 200 + 100, 7 * 200 + 100], abs=12)  # 8-bit steps
+    assert got_dn == pytest.approx([4 * 200 + 100, 7 * 200 + 100], abs=12)  # rounding to 8 bits
 
 
 @pytest.mark.slow
@@ -334,7 +334,7 @@ def test_reasons_are_listed_with_their_shares(tiles):
 
 @pytest.mark.slow
 def test_each_box_is_drawn_around_its_instance(tiles):
-    """Oracle: similar triangles; a 0.1 m cube whose front is the wall is 20 px wide there."""
+    """Oracle: similar triangles; the front of a 0.1 m cube, in the wall, is 20 px wide."""
     _, by_title = tiles(make_shot())
     flat = by_title["boxes of the visible masks"].patches[0]
     assert (flat.get_x(), flat.get_y()) == (29.5, 19.5)
@@ -361,7 +361,7 @@ def test_masks_tint_only_their_own_pixels(tiles):
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.21, 0.08, 0.003, -0.002, 0.01)])
 def test_box_edges_agree_with_the_projection_of_opencv(distortion):
-    """Oracle: cv2.projectPoints of points on the straight edges, distortion included."""
+    """Oracle: cv2.projectPoints for points on the straight edges, with distortion."""
     rng = np.random.default_rng(3)
     optics = replace(rig().camera, fx_px=900.0, fy_px=870.0, distortion=distortion)
     rotation = rotation_from_quaternion(random_quaternions(1, rng))[0]
@@ -388,7 +388,7 @@ def test_box_edges_agree_with_the_projection_of_opencv(distortion):
 
 
 def test_colour_maps_have_the_published_colours():
-    """Oracle: the ends of viridis as S. van der Walt and N. Smith published them, 2015."""
+    """Oracle: the end colours of viridis, published by S. van der Walt and N. Smith in 2015."""
     value = np.array([[-5.0, 0.0, 10.0, 99.0, np.nan]], dtype=np.float32)
     color = preview.painted(value, "viridis", (0.0, 10.0), unknown=(1.0, 0.0, 0.0))[0]
     assert color.tolist() == [[68, 1, 84]] * 2 + [[253, 231, 37]] * 2 + [[255, 0, 0]]
@@ -397,17 +397,17 @@ def test_colour_maps_have_the_published_colours():
 @pytest.mark.parametrize("sigma_mm", [slow(0.08), 0.3, slow(2.0)])
 @pytest.mark.parametrize("spikes", [0, 0.05])
 def test_the_scale_of_errors_covers_the_noise_and_not_outliers(tiles, sigma_mm, spikes):
-    """Oracle: 99 % of a normal law are within 2.576 sigmas; no picture of noise may be white."""
+    """Oracle: 99 % of a normal law are within 2.576 sigma; the median error must have a colour."""
     rng = np.random.default_rng(3)
     error_m = rng.normal(0.0, 1e-3 * sigma_mm, (HEIGHT, WIDTH)).astype(np.float32)
     error_m[rng.random(error_m.shape) < spikes] = 0.04
     ax = tiles(make_shot(error_m=error_m))[1]["scanner minus perfect"]
     limit_mm = preview.error_limit_mm(1e3 * error_m)
     assert 2.5 * sigma_mm <= limit_mm < 10 * sigma_mm
-    strength = np.ptp(image(ax)[error_m < 0.03].astype(int), axis=-1)  # 0 is grey or white
+    strength = np.ptp(image(ax)[error_m < 0.03].astype(int), axis=-1)  # 0 means grey or white.
     assert (
         np.median(strength) > 10
-    )  # The median, 0.67 sigmas, is 7 % of 10 sigmas: 10 of 255 steps.
+    )  # The median is 0.67 sigma, which is 7 % of 10 sigma, or 10 of 255 steps.
 
 
 def test_the_scale_of_errors_is_a_round_number_even_without_errors():
@@ -416,7 +416,7 @@ def test_the_scale_of_errors_is_a_round_number_even_without_errors():
     few = np.zeros((20, 20))
     few[:3, 0] = 0.013
     few[3:9, 0] = -0.0133
-    assert preview.error_limit_mm(few) == pytest.approx(0.015)  # most errors are 0
+    assert preview.error_limit_mm(few) == pytest.approx(0.015)  # Most errors are 0.
 
 
 def test_255_instances_have_different_colours():

@@ -1,4 +1,4 @@
-"""The picture and figures of a rig, compared with similar triangles."""
+"""The picture and the figures of a rig, compared with similar triangles."""
 
 from dataclasses import replace
 
@@ -13,11 +13,11 @@ from graycast.rig.pair import Rig, preset_rig
 from graycast.show.report import rig_picture
 from graycast.show.report.rig_picture import common_field, describe_rig, draw_rig, footprint_m
 
-PURPLE = (148, 103, 189)  # colour of the common volume before transparency
+PURPLE = (148, 103, 189)  # colour of the common volume without transparency
 
 
 def parallel_rig(rotation=None):
-    """Return a camera with a field of 1.0 z by 0.8 z, and a projector of 0.6 z by 0.4 z."""
+    """Return a camera with a field of 1.0 z by 0.8 z, and a projector with 0.6 z by 0.4 z."""
     rotation = np.eye(3) if rotation is None else rotation
     return Rig(
         name="parallel",
@@ -49,7 +49,7 @@ def test_fields_of_view_of_a_parallel_rig_follow_similar_triangles(z_m):
 
 @pytest.mark.parametrize("z_m", [0.384, 0.45, 0.52])
 def test_the_common_field_of_view_of_a_toed_in_rig_agrees_with_random_points(z_m):
-    """Oracle: random points of the plane that both pinhole projections see."""
+    """Oracle: random points of the plane that are inside both pinhole projections."""
     rig = preset_rig("like-phoxi-s")
     rng = np.random.default_rng(0)
     half = np.array([0.6, 0.4])
@@ -74,7 +74,7 @@ def test_a_projector_that_looks_sideways_has_no_footprint():
 
 
 def test_the_description_of_a_rig_has_the_figures_of_similar_triangles():
-    """z^2 / (f b) per column: 1.0 / 150 m at 1 m; out of the field nearer than 1 m."""
+    """Oracle: z^2 / (f b) per column is 1.0 / 150 m at 1 m; nearer points are outside the field."""
     text = describe_rig(parallel_rig())
     assert "baseline          300.0 mm" in text
     assert "toe-in            0.00 deg" in text
@@ -83,13 +83,13 @@ def test_the_description_of_a_rig_has_the_figures_of_similar_triangles():
     near, _, far = text.splitlines()[-3:]
     assert near.split()[:3] == ["near", "500", "mm"]
     assert "not lit on axis" in near
-    assert near.endswith("100 x 200 mm")  # 0.15 to 0.25 m wide
+    assert near.endswith("100 x 200 mm")  # The field is from x = 0.15 to 0.25 m.
     assert far.split()[:5] == ["far", "1500", "mm", "15.000", "mm"]  # 1.5^2 / 150
     assert far.endswith("900 x 600 mm")
 
 
 def test_rows_are_described_if_the_projector_is_above_the_camera():
-    """The same rig rotated by a quarter: 1.5^2 / 150 m per row, and nothing per column."""
+    """The same rig is rotated by 90 degrees: 1.5^2 / 150 m per row, and no depth per column."""
     rig = parallel_rig()
     above = replace(
         rig,
@@ -106,7 +106,7 @@ def test_rows_are_described_if_the_projector_is_above_the_camera():
 def purple_share(rig, path):
     draw_rig(rig, path)
     picture = cv2.imread(str(path))[..., ::-1].astype(float)
-    # Transparent purple over white or over a pale field has less green than either of the others.
+    # Transparent purple over white or over a pale field has less green than red or blue.
     red, green, blue = np.moveaxis(picture, -1, 0)
     return ((green < blue - 20) & (green < red - 10) & (blue > red)).mean()
 
@@ -115,7 +115,7 @@ def purple_share(rig, path):
 def test_the_picture_shows_a_common_volume_only_if_the_fields_of_view_overlap(tmp_path):
     assert purple_share(preset_rig("like-phoxi-s"), tmp_path / "s.png") > 0.05
     aside = parallel_rig(axis_rotation("y", np.pi / 2))
-    assert purple_share(aside, tmp_path / "aside.png") < 0.002  # the legend's patch
+    assert purple_share(aside, tmp_path / "aside.png") < 0.002  # only the legend's patch
     assert "none" in describe_rig(aside)
 
 
@@ -124,7 +124,7 @@ def test_the_picture_shows_a_common_volume_only_if_the_fields_of_view_overlap(tm
     "name", [slow("like-phoxi-m"), slow("like-zivid-2-m70"), "office-projector"]
 )
 def test_the_two_views_of_a_rig_have_one_scale_and_fill_their_areas(name, monkeypatch, tmp_path):
-    """A millimetre is as long in one view as in the other, and little space is empty."""
+    """A millimetre has the same length in both views, and little space is empty."""
     figures = []
     monkeypatch.setattr(rig_picture, "save_png", lambda figure, path, dpi: figures.append(figure))
     draw_rig(preset_rig(name), tmp_path / "rig.png")

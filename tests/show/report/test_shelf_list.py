@@ -1,4 +1,4 @@
-"""The list of scanners that see a field at a distance with a certain noise."""
+"""The list of scanners that measure a field at a distance with a limited noise."""
 
 import re
 from dataclasses import replace
@@ -21,7 +21,7 @@ def names(**wish):
 
 
 def parallel_rig():
-    """Return a rig with fields of 1 x 0.5 of the depth; the projector is 0.2 m to the right."""
+    """Return a rig with fields of 1 z by 0.5 z; the projector is 0.2 m to the right."""
     lens = Optics(width_px=200, height_px=100, fx_px=200.0, fy_px=200.0, cx_px=99.5, cy_px=49.5)
     T = np.eye(4)
     T[0, 3] = 0.2
@@ -33,7 +33,7 @@ def parallel_rig():
     [((0.79, 0.49), True), ((0.81, 0.49), False), ((0.79, 0.51), False), ((0.49, 0.79), True)],
 )
 def test_a_rectangle_up_to_the_overlap_of_the_two_fields_fits(field_m, fits):
-    """Oracle: 1 m minus 0.2 m of baseline is common at one metre, and half a metre of height."""
+    """Oracle: at 1 m, the common field is 1 m minus the baseline of 0.2 m wide, and 0.5 m high."""
     assert covers(parallel_rig(), field_m, 1.0) is fits
 
 
@@ -42,7 +42,7 @@ def test_a_rectangle_up_to_the_overlap_of_the_two_fields_fits(field_m, fits):
 def test_the_largest_rectangle_in_a_slanted_field_agrees_with_a_search(ratio):
     """Oracle: rectangles around a grid of points, whose corners are projected into both pictures.
 
-    Keystone from two sides: only the camera's sides of this field are parallel.
+    The common field is a keystone on two sides: only the sides of the camera's field are parallel.
     """
     rig, z_m = preset_rig("lab-lightcrafter-4500"), 0.8
     middles = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.3, 121)] * 2), axis=-1).reshape(-1, 2)
@@ -77,8 +77,8 @@ def test_all_scanners_are_listed_without_a_condition():
 
 
 def test_only_scanners_with_a_large_field_at_one_metre_are_listed():
-    """Computed by hand: 600 x 400 mm at 1 m is too large for an XS, S, nano or M60, and 1 m is too
-    near for an XL. The field of the M130 is 2448 / 4028 m wide and 2048 / 4028 m high."""
+    """Computed by hand: at 1 m, 600 x 400 mm is too large for an XS, S, nano or M60, and an XL
+    cannot measure so near. The field of the M130 is 2448 / 4028 m wide and 2048 / 4028 m high."""
     listed = names(field_m=(0.6, 0.4), at_m=1.0)
     assert {"like-phoxi-m", "like-phoxi-l", "like-zivid-2-l100", "like-zivid-2plus-m130"} <= set(
         listed
@@ -90,7 +90,7 @@ def test_only_scanners_with_a_large_field_at_one_metre_are_listed():
 
 
 def test_noise_between_measured_distances_is_interpolated_quadratically(monkeypatch):
-    """Oracle: a scanner whose noise is 1e-4 of the squared distance, at any distance."""
+    """Oracle: a scanner whose noise is 1e-4 times the squared distance."""
     own = measured().scanners["like-phoxi-m"]
     for z_m, noise_m in zip(own.z_m, own.noise_m, strict=True):
         assert stored_noise_m("like-phoxi-m", z_m) == pytest.approx(noise_m)
@@ -113,7 +113,7 @@ def test_a_stricter_condition_lists_fewer_scanners():
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_each_number_in_the_list_has_the_class_of_its_source(name):
-    """Oracle: the text of each number; without classes, a number is followed by its unit."""
+    """Oracle: the class in the text after each number; without a class, its unit follows."""
     line = next(line for line in shelf_lines() if line.split()[0] == name)
     kinds = {
         r" m \[(\w+)\], baseline": class_of(name, "near_m", "far_m"),

@@ -42,7 +42,7 @@ def dataset(folder, section, **claim):
 
 @pytest.fixture
 def crate(tmp_path):
-    """A configuration with the file of a bin's mesh: a box whose walls are 10 mm thick."""
+    """Return a configuration with a mesh file of a bin, which is a box with walls of 10 mm."""
     block = trimesh.creation.box((300, 200, 100))
     hole = trimesh.creation.box(
         (280, 180, 100), trimesh.transformations.translation_matrix((0, 0, 10))
@@ -52,7 +52,7 @@ def crate(tmp_path):
 
 
 def test_the_walls_of_a_box_bin_are_its_inside_and_its_rim(tmp_path):
-    """Closed form: the areas of floor, four walls and rim; nothing faces outwards."""
+    """Oracle: the areas of floor, four walls and rim in closed form; no face points outwards."""
     walls = dataset_walls(dataset(tmp_path, BinSection(inner_m=INNER_M, wall_m=WALL_M)), tmp_path)
     corner = unpacked(walls["vertices"])[unpacked(walls["faces"], "<u4")]
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).astype(float)
@@ -66,7 +66,7 @@ def test_the_walls_of_a_box_bin_are_its_inside_and_its_rim(tmp_path):
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_walls_are_scaled_like_the_bin_of_a_randomised_scene(crate, tmp_path, factor):
-    """Oracle: the bin that a domain makes of the same size factor."""
+    """Oracle: the bin that a domain makes with the same size factor."""
     values = {
         "size_factor": factor,
         "color": {"hue_deg": 30.0, "saturation": 0.5, "value": 0.5},
@@ -97,7 +97,7 @@ def test_real_pictures_have_no_bin(tmp_path):
 
 @pytest.mark.slow
 def test_the_3d_view_draws_the_bin_at_its_true_position(browser, rig, tmp_path):
-    """Law: seen from above, floor and rim are coloured, and the table around them is not."""
+    """Law: in a view from above, floor and rim have colours, and the table around them has none."""
     write_dataset(tmp_path / "bins", scene_ids=(0,), rig=rig)
     path = tmp_path / "bins/graycast.json"
     claim = json.loads(path.read_bytes())
@@ -110,7 +110,7 @@ def test_the_3d_view_draws_the_bin_at_its_true_position(browser, rig, tmp_path):
             page.keyboard.press(key)
         page.click("text=top")
         page.mouse.move(300, 300)
-        page.mouse.wheel(0, 1155)  # four times as far, because the parts are not in the bin
+        page.mouse.wheel(0, 1155)  # The view becomes wider, because the parts are not in the bin.
         place = """([x, y, z]) => {
             const { scene, cloud } = Graycast.opened(), { middle } = Graycast.shapes.space(scene);
             return cloud.onScreen([x - middle[0], y - middle[1], z - middle[2]]);

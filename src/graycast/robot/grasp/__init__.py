@@ -1,4 +1,4 @@
-"""Grips of a part: surfaces under a tool, seals of suction cups, and loads that a grip holds."""
+"""Grips of a part: the surface under a tool, the seal of a suction cup, and the load on a grip."""
 
 from .grip import Grip, best_first
 from .jaws import CLEARANCE_M, Jaws, closing, jaw_load_factor, jaw_places

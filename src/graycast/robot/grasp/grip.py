@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ...base.frames import rigid
 from ...base.public_value import public_value
 
-LEAN_RAD = np.radians(30)  # Walls and neighbouring parts make a tool lean by about this angle.
+LEAN_RAD = np.radians(30)  # Walls and neighbouring parts force a tool to lean by about this angle.
 
 
 @public_value
@@ -29,12 +29,12 @@ class Grip:
 
 
 def best_first(places: Iterable[Grip]) -> list[Grip]:
-    """Return the grips whose score is above 0, in order of falling score."""
+    """Return the grips with a score above 0, sorted by descending score."""
     return sorted((grip for grip in places if grip.score > 0), key=lambda grip: -grip.score)
 
 
 def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> np.ndarray:
-    """Return a tool's pose at a point: z is the normal, and x is one of the directions across."""
+    """Return a tool's pose at a point: z is the normal, x is an arbitrary tangent direction."""
     least = np.eye(3)[np.argmin(np.abs(normal))]
     x = np.cross(least, normal)
     x /= np.linalg.norm(x)
@@ -42,6 +42,6 @@ def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) ->
 
 
 def downs() -> Float[np.ndarray, "5 3"]:
-    """Return the directions of gravity for an upright tool and for one that leans to four sides."""
+    """Return unit vectors of gravity in the frame of an upright tool and of four leaning tools."""
     s, c = np.sin(LEAN_RAD), np.cos(LEAN_RAD)
     return np.array([[0, 0, -1], [s, 0, -c], [-s, 0, -c], [0, s, -c], [0, -s, -c]], dtype=float)

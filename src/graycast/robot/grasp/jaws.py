@@ -1,4 +1,4 @@
-"""Parallel jaws on a part with a known mesh: grasp search, and loads held by friction."""
+"""Parallel jaws on a part with a known mesh: search for grips, and load that friction holds."""
 
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
@@ -18,10 +18,10 @@ from .grip import Grip, downs
 from .robust import SHAKE, Doubt
 
 CLEARANCE_M = 2e-3  # Each open finger keeps this gap to the part.
-TURNS = 8  # At each place, this many turns about the axis of the pads are tried.
+TURNS = 8  # number of rotations about the axis of the pads that are tried at each place
 PAD_LINES = 8  # number of lines from a pad to the part, on each of two rings
-PAD_GIVES_M = 0.5e-3  # The jaws press a rubber pad in by this depth.
-PROBES = 3000  # number of points on the part's surface; none may be inside a finger
+PAD_GIVES_M = 0.5e-3  # depth by which the rubber of a pad is compressed when the jaws close
+PROBES = 3000  # number of points on the part's surface; none of them may be inside a finger
 
 
 @public_value
@@ -69,9 +69,9 @@ class Jaws:
 class PadContact(NamedTuple):
     """Contact of closed jaws with a mesh.
 
-    `aside_m` is the offset along x of the middle between the pads. `slope` is the tangent of the
-    angle between the jaws' axis and the surface normal at a pad, the larger of both pads. `ahead_m`
-    is the largest distance by which a finger meets the mesh before its pad does.
+    `aside_m` is the offset of the midpoint between the pads along x. `slope` is the tangent of the
+    angle between the jaws' axis and the surface normal, at the pad where this angle is larger.
+    `ahead_m` is the largest distance by which a finger meets the mesh before its pad does.
     """
 
     aside_m: float
@@ -80,7 +80,7 @@ class PadContact(NamedTuple):
 
     @property
     def on_pads(self) -> bool:
-        """Whether both pads touch the part: the pads can be pressed in by at least `ahead_m`."""
+        """Whether both pads touch the part; a pad can be compressed by `PAD_GIVES_M`."""
         return self.ahead_m <= PAD_GIVES_M
 
 
@@ -89,10 +89,10 @@ def jaw_load_factor(
 ) -> Float[np.ndarray, " k"]:
     """Return the safety factor of a load between two pads with friction; below 1 the part slips.
 
-    Across their axis, both pads together hold a force of 2 friction force. About this axis, they
-    hold the moment of two discs of even pressure, 2 friction force (2/3 r). The pads' normal forces
-    hold moments about other axes; these are not checked, because fingers are stiff compared with
-    a part's weight. The drive holds forces along the axis.
+    Across the pads' axis, both pads together resist a force of 2 mu F (mu: friction, F: force of
+    each pad). About this axis, they resist the moment of two discs with uniform pressure,
+    2 mu F (2/3 r). Moments about other axes are not checked: the pads' normal forces resist them,
+    because fingers are stiff compared with a part's weight. The drive resists axial forces.
 
     Args:
         force_n: the force on the part, in the tool's frame.
@@ -118,18 +118,18 @@ def jaw_places(
     chances: int = 24,
     seed: int = 0,
 ) -> list[Grip]:
-    """Return all grips at which open fingers fit round the part, even if they do not hold it.
+    """Return all grips at which the open fingers fit around the part, even if they do not hold it.
 
-    Jaws hold if both surface normals are in the cone of friction about the line between the pads,
-    and no point of the part is inside an open finger or the palm; a finger may go into a hole or
-    between two walls. The score is then the share of random trials (position of the tool, friction,
-    centre of mass) in which both pads meet the part within the cone, before the rest of a finger
-    does, and hold the load. It is the minimum over an upright tool and one that leans to four
-    sides. If the jaws do not hold, it is 0. In the first trial, the tool is at its planned pose.
+    The score is 0 if a surface normal is outside the friction cone about the line between the pads,
+    or if a point of the part is inside an open finger or the palm; a finger may reach into a hole
+    or between two walls. Otherwise, the score is the share of random trials (pose of the tool,
+    friction, centre of mass) in which both pads touch the part within the friction cone, before the
+    rest of a finger does, and resist the load. It is the minimum over an upright tool and one that
+    leans to four sides. In the first trial, the tool is at its planned pose.
 
     Args:
-        center_m: the part's centre of mass.
-        count: number of places that are tried, evenly over the surface.
+        center_m: the part's centre of mass, in the part's frame.
+        count: number of places that are tried, evenly distributed over the surface.
         chances: number of random trials for each grip.
         seed: seed for the random trials.
     """
@@ -184,17 +184,17 @@ def closing(
     *,
     opening_m: float | None = None,
 ) -> PadContact | None:
-    """Return the contact of jaws that close on a mesh; None if a pad meets nothing.
+    """Return the contact of jaws that close on a mesh; None if a pad touches nothing.
 
-    Lines parallel to the jaws' axis run from each open pad to the opposite pad; the pad meets the
-    first surface on them, and surfaces outside the open pads do not count. A pad touches all that
-    is within `PAD_GIVES_M` of the point that it meets first. The slope is the tangent of the angle
-    between the axis and the mean normal of the touched surface. The flat face of a finger, as wide
-    and as long as the finger, is in the plane that the pad touches: a surface more than
-    `PAD_GIVES_M` before this plane keeps the pad off the part.
+    Lines parallel to the jaws' axis run from each open pad to the opposite pad. The pad meets the
+    first surface on these lines; surfaces outside the open pads do not count. A pad touches all
+    triangles within `PAD_GIVES_M` of the point that it meets first. The slope is the tangent of the
+    angle between the axis and the mean normal of the touched triangles. The flat face of a finger
+    is in the plane that the pad touches. Surface that is more than `PAD_GIVES_M` in front of this
+    plane keeps the pad away from the part.
 
     Args:
-        opening_m: distance between the open pads; by default, the jaws' largest opening.
+        opening_m: distance between the open pads; the default is the jaws' largest opening.
     """
     around = 2 * np.pi * np.arange(PAD_LINES) / PAD_LINES
     across = [np.zeros((1, 2))]
@@ -210,7 +210,7 @@ def closing(
     corners = vertices[mesh.faces]
     low, high = corners[..., 1:].min(axis=1), corners[..., 1:].max(axis=1)
     near = ((low <= jaws.pad_radius_m) & (high >= -jaws.pad_radius_m)).all(axis=1)
-    a, b, c = np.moveaxis(corners[near], 1, 0)  # Lines meet none of the other triangles.
+    a, b, c = np.moveaxis(corners[near], 1, 0)  # The lines cannot meet the other triangles.
     cross = np.cross(b - a, c - a)
     outermost_m, slopes, ahead_m = [], [], []
     for side in (1.0, -1.0):
@@ -264,7 +264,7 @@ def _in_the_way(
 
 @kernel()
 def _far_side(origin, way, a, ab, ac, most_m):
-    """Return the distance and index of each ray's last triangle within `most_m`; -1 if none."""
+    """Return distance and index of the last triangle on each ray, up to `most_m`; -1 if none."""
     distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)
     for i in range(len(origin)):
         for f in range(len(a)):
@@ -290,10 +290,11 @@ def _far_side(origin, way, a, ab, ac, most_m):
 
 @kernel()
 def _foremost(corners, most_x, half_y, low_z, high_z, lean_y, lean_z):
-    """Return how far the triangles in a box that ends at `most_x` rise above a plane, along x.
+    """Return the largest height, along x, of the triangles in a box above a plane.
 
-    The plane is `x + lean_y y + lean_z z = 0`. The result is -inf if no triangle is in the box.
-    Each triangle is cut by the planes of the box (Sutherland and Hodgman, 1974).
+    The plane is `x + lean_y y + lean_z z = 0`, and the box ends at `x = most_x`. The result is -inf
+    if no triangle is in the box. The planes of the box clip each triangle (Sutherland and Hodgman,
+    1974).
     """
     axes, signs = (0, 1, 1, 2, 2), (1.0, 1.0, -1.0, 1.0, -1.0)
     bounds = (most_x, half_y, half_y, high_z, -low_z)

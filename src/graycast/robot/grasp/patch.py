@@ -1,8 +1,8 @@
-"""The surface under a tool, as heights over a plane across the tool's axis.
+"""The surface under a tool, as heights above a plane perpendicular to the tool's axis.
 
-The origin of a tool's frame is its target point; z points along its axis away from the surface,
-and x and y are across. A patch is a grid over x and y of the surface's heights along z: a suction
-cup rests on this surface. Meshes and measured depth give the same kind of patch.
+The origin of a tool's frame is its target point; z points along the tool's axis, away from the
+surface. A patch is a grid over x and y of the surface's heights along z, on which a suction cup
+rests. Meshes and measured depth give the same kind of patch.
 """
 
 import math
@@ -16,15 +16,15 @@ from ...base.kernels import kernel
 from ...rig.optics import Optics, project, rays
 from ...world.parts import Mesh
 
-STEP_M = 0.5e-3  # spacing of the nodes of the patch under a tool
+STEP_M = 0.5e-3  # spacing of the grid nodes of a patch
 _STEEPEST_RAD = math.radians(
     80
-)  # A steeper triangle (to the line of sight) spans a gap and is left out.
+)  # A triangle that is steeper than this to the line of sight spans a gap and is ignored.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patch:
-    """Heights [m] on a square grid about the tool's axis; NaN if no surface is there or known.
+    """Heights [m] on a square grid about the tool's axis; NaN where no surface is known.
 
     Node [i, j] is at x = (j - n) * step_m and y = (i - n) * step_m; each side has 2 n + 1 nodes.
     """
@@ -37,7 +37,7 @@ class Patch:
 
     @property
     def reach_m(self) -> float:
-        """Distance that the grid extends from the axis along x and y."""
+        """Distance from the axis to the edge of the grid, along x and y."""
         return (len(self.height_m) // 2) * self.step_m
 
     @property
@@ -72,11 +72,11 @@ def patch_of_depth(
 ) -> Patch:
     """Return the patch of a depth map, from triangles between neighbouring pixels.
 
-    Heights are NaN where depth is missing and where a triangle is so steep to the line of sight
-    that its pixels may be on two different surfaces.
+    Heights are NaN where depth is missing. They are also NaN where a triangle is so steep to the
+    line of sight that its pixels may show two different surfaces.
 
     Args:
-        depth_m: z coordinate of each pixel, NaN if it is missing.
+        depth_m: z coordinate of each pixel in the camera's frame; NaN if it is missing.
     """
     rows, columns = _window(depth_m.shape, camera, T_cam_tool, 1.5 * radius_m)
     y, x = np.mgrid[rows, columns].astype(np.float64)
@@ -90,7 +90,7 @@ def patch_of_depth(
 def _window(
     shape: tuple[int, ...], camera: Optics, T_cam_tool: Float[np.ndarray, "4 4"], radius_m: float
 ) -> tuple[slice, slice]:
-    """Return the rows and the columns of the pixels that show a ball around the tool's origin."""
+    """Return the rows and columns of the pixels that see a ball around the tool's origin."""
     point = T_cam_tool[:3, 3]
     x, y = project(camera, point)
     wide = 2 + radius_m * max(camera.fx_px, camera.fy_px) / max(point[2] - radius_m, 1e-3)
@@ -120,7 +120,7 @@ def _highest_of_mesh(corner, step_m, height):
 
 @kernel()
 def _highest_of_depth(points, here, least_facing, step_m, height):
-    """Raise `height` to the triangles between neighbouring pixels that are on one surface.
+    """Raise `height` to the triangles between neighbouring pixels that belong to one surface.
 
     `points` are in the camera's frame; `here` are the same points in the tool's frame.
     """
@@ -136,7 +136,7 @@ def _highest_of_depth(points, here, least_facing, step_m, height):
 
 @kernel()
 def _is_surface(a, b, c, least_facing):
-    """Return whether a triangle (in the camera's frame) is known and not steep to its ray."""
+    """Return whether a triangle in the camera's frame has depth and is not steep to its ray."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
     ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -147,7 +147,7 @@ def _is_surface(a, b, c, least_facing):
 
 @kernel()
 def _raise(a, b, c, step_m, height):
-    """Raise nodes below a triangle to its height; a node on an edge counts for both triangles."""
+    """Raise the nodes that a triangle covers to its height; a node on an edge is covered."""
     n = len(height) // 2
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)

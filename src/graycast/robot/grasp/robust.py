@@ -11,8 +11,8 @@ from ...base.streams import stream
 from .patch import Patch
 from .suction import MOST_STRAIN, Cup, load_factor, seals
 
-CARRIED_M_S2 = 0.5 * 9.81  # largest acceleration of a part in a tool
-SHAKE = 1.5  # At that acceleration, a part pulls with at most this multiple of its weight.
+CARRIED_M_S2 = 0.5 * 9.81  # largest acceleration of a part that the tool carries
+SHAKE = 1.5  # At this acceleration, a part pulls with at most 1.5 times its weight.
 
 
 @public_value
@@ -20,8 +20,8 @@ SHAKE = 1.5  # At that acceleration, a part pulls with at most this multiple of 
 class Doubt:
     """The uncertainties of a grip as standard deviations of normal distributions.
 
-    `position_m` and `angle_rad` describe the tool's pose on the part, with the errors of
-    calibration, robot and part. `friction_share` is relative, and `center_m` is for each axis.
+    `position_m` and `angle_rad` are uncertainties of the tool's pose on the part, from calibration,
+    robot and part. `friction_share` is relative. `center_m` is for each axis of the centre of mass.
     """
 
     position_m: float = 1e-3
@@ -32,7 +32,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Burden:
-    """The load on a tool in its frame: a weight, its position, and the direction of gravity."""
+    """The load on a tool, in the tool's frame: a weight, its position, and gravity's direction."""
 
     weight_n: float
     center_m: Float[np.ndarray, "3"]
@@ -44,10 +44,10 @@ def robustness(
 ) -> float:
     """Return the share of random trials in which the cup seals and holds, the minimum over burdens.
 
-    The first trial is the planned grip. Errors beyond three standard deviations are reduced to
-    three, so that a patch with the radius `patch_radius_m` is large enough.
+    The first trial is the planned grip. Errors above three standard deviations are clipped to
+    three, so that a patch of radius `patch_radius_m` is large enough.
     """
-    # Callers use the same seed for the places, so this uses another stream.
+    # The caller may sample places with the same seed, so the trials use another random stream.
     rng = stream(seed, 1)
     off = np.clip(rng.normal(size=(chances, 8)), -3, 3)
     off[0] = 0

@@ -1,10 +1,10 @@
 """The seal of a suction cup on a surface, and the load that it holds.
 
 The seal follows Mahler et al., "Dex-Net 3.0", ICRA 2018. The cup is a cone of springs whose lip is
-laid on the surface. It seals if no spring is stretched or compressed by more than a tenth and if
-the surface under the cup is known and without gaps. The load follows from statics: the vacuum
-presses the lip on the surface; this pressure holds forces across the axis by friction, and holds
-moments because it can be uneven.
+pressed onto the surface. It seals if no spring is stretched or compressed by more than a tenth, and
+if the surface under the cup is known and has no gaps. The load follows from statics: the vacuum
+presses the lip onto the surface. Friction then resists forces across the axis, and the pressure
+resists moments because it can be uneven.
 """
 
 import math
@@ -19,8 +19,8 @@ from ...base.kernels import kernel
 from ...base.public_value import public_value
 from .patch import Patch
 
-LIP_POINTS = 32  # This many springs form the lip: a groove of half their length opens the seal.
-MOST_STRAIN = 0.10  # A cup seals if no spring has more strain. Source: Dex-Net 3.0, section IV.
+LIP_POINTS = 32  # number of springs along the lip; a groove of half their spacing breaks the seal
+MOST_STRAIN = 0.10  # largest strain of a spring in a sealed cup; source: Dex-Net 3.0, section IV
 
 
 @public_value
@@ -56,7 +56,7 @@ class Cup:
 
     @property
     def pull_n(self) -> float:
-        """Force of the vacuum on the part."""
+        """Force with which the vacuum pulls on the part."""
         return self.vacuum_pa * math.pi * self.radius_m**2
 
 
@@ -65,8 +65,8 @@ class Seal:
     """The state of a cup on a surface.
 
     `strain` is the largest relative change of a spring's length; NaN if there is no surface under
-    the lip. `open_share` is the share of the area under the cup in which there is no surface or the
-    surface is unknown.
+    the lip. `open_share` is the share of the area under the cup where the surface is missing or
+    unknown.
     """
 
     strain: float
@@ -78,13 +78,13 @@ class Seal:
 
 
 def seal(cup: Cup, patch: Patch) -> Seal:
-    """Return the seal of a cup that is laid on a surface along the tool's axis.
+    """Return the seal of a cup that is pressed onto a surface along the tool's axis.
 
-    The middle of the lip is at the tool's origin, so only the unevenness of the surface around it
-    counts. Blind holes inside the lip do no harm; through holes and unknown areas break the seal.
+    The centre of the lip is at the tool's origin, so only the unevenness of the surface around it
+    matters. Blind holes inside the lip do no harm; through holes and unknown areas break the seal.
 
     Raises:
-        ValueError: the patch ends under the cup.
+        ValueError: the patch is smaller than the cup.
     """
     strain, open_share = seals(cup, patch, aside_m=np.zeros((1, 2)), lean=np.zeros((1, 2)))
     return Seal(strain=float(strain[0]), open_share=float(open_share[0]))
@@ -101,11 +101,11 @@ def seals(
 
     Args:
         patch: the surface about the tool's axis.
-        aside_m: offsets of the cup's middle along x and y.
+        aside_m: offsets of the cup's centre along x and y.
         lean: small slopes of the lip's plane along x and y.
 
     Raises:
-        ValueError: the patch ends under the cup.
+        ValueError: the patch is smaller than the cup with its offset.
     """
     if np.abs(aside_m).max() + cup.radius_m > patch.reach_m * (1 + 1e-9):
         raise ValueError(f"the patch of {patch.reach_m} m about the axis is smaller than the cup")
@@ -142,7 +142,7 @@ def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
 
 @kernel()
 def _between(height_m, place):
-    """Return the height at a place (in grid steps from the middle); NaN outside or at a gap."""
+    """Return the height at a place (in grid steps from the centre); NaN outside or at a gap."""
     x, y = place[0] + len(height_m) // 2, place[1] + len(height_m) // 2
     j, i = math.floor(x), math.floor(y)
     if min(i, j) < 0 or max(i, j) >= len(height_m) - 1:
@@ -154,7 +154,7 @@ def _between(height_m, place):
 
 @kernel()
 def _open_share(height_m, radius, about):
-    """Return the share of missing nodes within a radius around a place; both are in grid steps."""
+    """Return the share of missing nodes in a circle around a place; both are in grid steps."""
     missing, inside, n = 0, 0, len(height_m) // 2
     for y in range(math.ceil(about[1] - radius - 1), math.floor(about[1] + radius + 1) + 1):
         for x in range(math.ceil(about[0] - radius - 1), math.floor(about[0] + radius + 1) + 1):
@@ -174,8 +174,8 @@ def load_factor(
 ) -> Float[np.ndarray, " k"]:
     """Return the safety factor of a load on a sealed cup; below 1 the cup loses the part.
 
-    The lip is a ring that presses on the surface with the force N: the vacuum's force plus the
-    load's force along the axis. There are three limits:
+    The lip is a ring that presses on the surface with the force N, which is the vacuum's force plus
+    the load's force along the axis. There are three limits:
 
     - pull: N > 0.
     - friction: a force t across the axis and a torque m about it make the ring slide when
@@ -185,7 +185,7 @@ def load_factor(
     Args:
         force_n: the force on the part, in the tool's frame.
         moment_nm: the moment of the load about the tool's origin.
-        friction: coefficient of friction of each load; by default, the cup's.
+        friction: coefficient of friction for each load; the default is the cup's.
 
     Returns:
         The factor of each load at which the first limit is reached; infinity if none is reached.
@@ -194,7 +194,7 @@ def load_factor(
         force_n[..., 0] ** 2 + force_n[..., 1] ** 2 + (moment_nm[..., 2] / cup.radius_m) ** 2
     )
     tilt_nm = np.hypot(moment_nm[..., 0], moment_nm[..., 1])
-    press_n = force_n[..., 2]  # z points away from the part: a weight under a cup is below 0
+    press_n = force_n[..., 2]  # z points away from the part, so a weight under a cup is negative.
     mu = np.full(press_n.shape, cup.friction) if friction is None else friction
     factor = np.full(press_n.shape, np.inf)
     for demand, share in (

@@ -1,4 +1,4 @@
-"""Places where a suction cup holds a part, on a known mesh or on a measured surface.
+"""Search for places where a suction cup holds a part, on a known mesh or on a measured surface.
 
 Grips on a mesh are computed once, in the part's frame; a part's pose moves them to the world.
 Without a model, the search follows Mahler et al., "Dex-Net 3.0", ICRA 2018, section V: it samples
@@ -35,14 +35,14 @@ def suction_places(
     count: int = 200,
     seed: int = 0,
 ) -> list[Grip]:
-    """Return grips at places spread over the surface, even those at which the cup does not hold.
+    """Return grips that are spread over the surface, even those at which the cup does not hold.
 
-    The score of a grip is the minimum of its robustness with the tool upright and leaning by 30
-    degrees to four sides, because the orientation of the part in the bin is not known yet.
+    The score of a grip is the minimum of its robustness with the tool upright and with the tool
+    leaning by 30 degrees to four sides, because the part's orientation in the bin is unknown here.
 
     Args:
-        center_m: the part's centre of mass.
-        count: number of places that are tried, evenly over the surface.
+        center_m: the part's centre of mass, in the part's frame.
+        count: number of places that are tried, evenly distributed over the surface.
         seed: seed for the random trials of the robustness.
     """
     points, normals = spread_points(mesh, count)
@@ -60,7 +60,7 @@ def suction_places(
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthView:
-    """The depth [m] that the robot uses, NaN if it is missing, and the pose of the camera."""
+    """The depth [m] that the robot uses (NaN if it is missing), and the pose of the camera."""
 
     depth_m: Float[np.ndarray, "h w"]
     camera: Optics
@@ -92,7 +92,7 @@ class SuctionSearch:
     The cup's axis is the normal of a plane that is fitted to the surface under the cup.
 
     Attributes:
-        weight_n: weight of the part that is lifted.
+        weight_n: weight of the part that is lifted, in newtons.
         doubt: uncertainties of the grip.
         most_lean_rad: largest angle between the tool's axis and the vertical.
     """
@@ -114,10 +114,9 @@ class SuctionSearch:
         """Return grips within a mask, best first; the list is empty if no grip would hold.
 
         Args:
-            mask: pixels at which the cup's middle may be placed: one part, or the whole bin.
-            one_part: whether the mask shows one part. Its centre of mass is then assumed to be the
-                mean of the mask's points, otherwise the point under the cup.
-            count: number of places in each of three rounds.
+            mask: pixels at which the cup's centre may be placed: one part, or the whole bin.
+            one_part: whether the mask shows one part, whose centre of mass is then assumed to be
+                the mean of the mask's points; otherwise, it is assumed to be under the cup.
             seed: seed for the places and for the random trials.
         """
         rng, depth_m = np.random.default_rng(seed), self.view.depth_m

@@ -1,4 +1,4 @@
-"""Grasp labels on disk, in the folder of their dataset; see `dataset.grasp_files`."""
+"""Files of grasp labels in the folder of their dataset; see `dataset.grasp_files`."""
 
 import platform
 from collections.abc import Iterator, Sequence
@@ -52,10 +52,10 @@ class LabelFolder:
 def open_labels(
     dataset: StoredDataset, name: str, labelling: Labelling, seed: int
 ) -> Iterator[LabelFolder]:
-    """Make the folder of a set of labels, or open it again to continue the same set.
+    """Create the folder of a set of labels, or open it again to continue the same set.
 
     Raises:
-        DatasetError: the folder has another set, is in use, or cannot be written.
+        DatasetError: the folder holds another set, is in use, or cannot be written.
     """
     out = dataset.folder / GRASPS / name
     claim = _claim(dataset, labelling, seed)
@@ -113,7 +113,7 @@ def _refuse_other(out: Path, claim: dict[str, Any]) -> None:
 
 
 def _tidy(out: Path) -> None:
-    """Remove a folder of labels in which no scene was labelled."""
+    """Remove the folder of a set of labels if it has no labels."""
     if any(out.glob("*/*.json")):
         return
     with suppress(OSError):
@@ -156,7 +156,7 @@ def read_scene_labels(path: Path) -> SceneGrasps:
     """Read the grasp labels of a scene from its file.
 
     Raises:
-        DatasetError: the file is missing, damaged, or of another form.
+        DatasetError: the file is missing, is damaged, or has another format.
     """
     try:
         return read_json(path, SceneGrasps)

@@ -16,7 +16,7 @@ class ToolFile(Settings):
 
 
 class Labelling(Settings):
-    """Options of a set of labels; labels with other options are another set."""
+    """Options of a set of labels; each set of options belongs to a set of labels of its own."""
 
     tool: AnyTool
     places: int = Field(
@@ -47,13 +47,13 @@ class Labelling(Settings):
 
 
 def read_tool(path: Path) -> AnyTool:
-    """Read the tool from a file, which is a robot's cell or has only the section `tool`.
+    """Read the tool from a file: the configuration of a robot's cell, or only its section `tool`.
 
     Raises:
-        ConfigError: the file is missing, is not YAML, or its tool has a wrong key.
+        ConfigError: the file is missing, is not YAML, or has a wrong key in its tool.
     """
     content = parse_yaml(read_text(path), path)
     section: Any = content.get("tool", content)
     if isinstance(section, dict):
-        section = {"kind": "suction"} | section  # A cell has this default, too.
+        section = {"kind": "suction"} | section  # The configuration of a cell has the same default.
     return check_settings({"tool": section}, ToolFile, path).tool

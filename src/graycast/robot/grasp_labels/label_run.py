@@ -1,4 +1,4 @@
-"""Grasp labels for all scenes of a dataset, made by workers; a stopped run can be continued."""
+"""Label the scenes of a dataset in worker processes; a stopped run can be continued."""
 
 import time
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from .stored_world import GraspWorld, Stock, make_world, read_heap, read_stock
 
 
 class SceneLabeller:
-    """A worker that labels the scenes of one task; it searches for grips only once."""
+    """A worker that labels scenes; it searches for grips on the parts only once."""
 
     def __init__(self, task: "LabelTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._threads, self._progress = task, threads, progress
@@ -27,7 +27,7 @@ class SceneLabeller:
 
         Raises:
             DatasetError: a file of the scene is missing or damaged.
-            ConfigError: the tool fits around none of the parts.
+            ConfigError: the jaws do not fit around any of the parts.
         """
         start = time.perf_counter()
         task = self._task
@@ -59,7 +59,7 @@ class SceneLabeller:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelTask(Job):
-    """Data that a worker needs to label any scene of a dataset; nothing is rendered."""
+    """The data that a worker process needs to label any scene of a dataset."""
 
     RUNNER = SceneLabeller
 
@@ -85,7 +85,7 @@ def label_dataset(
     Args:
         name: name of the set of labels, which is a folder in the dataset's `grasps`.
         seed: seed for the choice of places.
-        files: the folder to which paths in the dataset's configuration are relative.
+        files: the folder that paths in the dataset's configuration are relative to.
         on_result, on_failed: receive the key of a scene and its result or failure.
 
     Returns:

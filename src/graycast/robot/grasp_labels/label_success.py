@@ -1,4 +1,4 @@
-"""Success of labelled grips in the physics simulation, compared with their scores."""
+"""Compare the scores of labelled grips with their success in the physics simulation."""
 
 import math
 from collections import Counter
@@ -15,12 +15,12 @@ from ...score.evaluate.shares import roc_auc_of_scenes
 from .label_files import read_scene_labels
 
 BANDS = ((0.0, 0.0), (0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.999), (0.999, 1.0))
-"""Scores above the first number, up to the second; of the first band 0 alone."""
+"""Limits of the bands of scores. A band excludes its first number; the first band is only 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Band:
-    """The number of grips with scores in a band, and the number of these that held in physics."""
+    """The number of grips with scores in a band, and the number of them that held in physics."""
 
     low: float
     high: float
@@ -33,7 +33,7 @@ class Band:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the interval shows that most grips hold below 0.5, or that most fail above it."""
+        """Whether the rate's confidence interval and the band are on different sides of 0.5."""
         if not self.grips:
             return False
         _, low, high = self.rate
@@ -44,7 +44,7 @@ class Band:
 class Ranking:
     """Statistics of a set of labels.
 
-    `auc` is for all simulated grips; `auc_above_0` is for those with a score above 0.
+    `auc` covers all simulated grips; `auc_above_0` covers those with a score above 0.
     """
 
     scenes: int

@@ -1,4 +1,4 @@
-"""The grasp labels of one scene: grips on its parts, obstacles of the tool, and physics."""
+"""Label the grips of one scene: their obstacles, and their success in simulated physics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ from .label_options import Labelling
 from .stored_world import GraspWorld, ScenePoses, around
 
 CLEAR_M = 0.05
-LIFT_M_S = 0.25  # the default speed of straight motions in a robot's cell
-STILL_S = 0.3  # time that the part must hang on the tool after the lift
+LIFT_M_S = 0.25  # default speed of straight motions in a robot's cell
+STILL_S = 0.3  # time for which the tool must hold the part after the lift
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,8 +40,8 @@ class Ending:
 class GraspLabel:
     """A grip on an instance of a scene.
 
-    `reach` names what the tool would collide with; it is 'free' if there is no collision. `met` is
-    the tool's contact with the parts. `ending` is None if the grip was not simulated.
+    `reach` names the obstacle with which the tool would collide; it is 'free' if there is none.
+    `met` is the tool's contact with the parts. `ending` is None if the grip was not simulated.
     """
 
     instance: int
@@ -57,8 +57,8 @@ def label_scene(
 ) -> tuple[GraspLabel, ...]:
     """Label all instances of a scene, one after the other.
 
-    For each instance, half of the chosen grips have a score above 0 and half have the score 0, if
-    there are enough of each. The grips that are simulated are chosen in the same way, from those
+    For each instance, half of the selected grips have a score above 0 and half have the score 0, if
+    there are enough of each. Grips for the simulation are selected in the same way, from those
     whose `reach` is 'free'.
     """
     rng = stream(seed, scene_id)
@@ -79,7 +79,7 @@ def label_scene(
 def _selection(
     world: GraspWorld, heap: ScenePoses, labelling: Labelling, number: int, rng: np.random.Generator
 ) -> list[Grip]:
-    """Return the chosen grips on one instance, without those whose axis leans too much."""
+    """Return a selection of the grips on one instance whose axis does not lean too much."""
     up = heap.T_world_part[number, 2, :3]
     least = np.cos(np.radians(labelling.most_lean_deg))
     upright = [
@@ -124,8 +124,8 @@ def _label(
 def carry_out(world: GraspWorld, heap: ScenePoses, label: GraspLabel) -> Ending:
     """Simulate a grip: close the tool, lift straight up, and return whether the part is still held.
 
-    The tool accelerates and brakes with `CARRIED_M_S2` and moves at up to `LIFT_M_S`. It rises
-    until a part from the bin's floor is `CLEAR_M` above the bin's rim.
+    The tool accelerates and brakes with `CARRIED_M_S2` and moves at up to `LIFT_M_S`. It rises by
+    `CLEAR_M` more than the depth of the bin, so that a part from the floor clears the rim.
     """
     met = label.met
     if not isinstance(met, PartGrip):
@@ -151,7 +151,7 @@ def carry_out(world: GraspWorld, heap: ScenePoses, label: GraspLabel) -> Ending:
 def straight_up(
     T_world_tool: Float[np.ndarray, "4 4"], rise_m: float
 ) -> Float[np.ndarray, "t 4 4"]:
-    """Return a pose for each step of a lift: acceleration, constant speed, braking, and rest."""
+    """Return the tool's pose at each time step of a lift: speeding up, braking, and rest."""
     gain_s = LIFT_M_S / CARRIED_M_S2
     whole_s = rise_m / LIFT_M_S + gain_s
     time_s = np.arange(0, whole_s + STILL_S, STEP_S)

@@ -1,4 +1,4 @@
-"""The world of a stored dataset: its bin, its parts, and the grips on these parts."""
+"""Read the bin and the parts of a stored dataset, and search for grips on these parts."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +38,7 @@ class Stock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspWorld:
-    """A `Stock` with the bodies of its parts, and with all tried grips on each kind of part."""
+    """A `Stock` with rigid bodies of its parts, and with all tried grips on each kind of part."""
 
     stock: Stock
     tool: Tool
@@ -61,10 +61,10 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
     """Return the parts, the bin and the rig of a dataset.
 
     Args:
-        files: the folder to which the paths in the configuration are relative.
+        files: the folder that paths in the configuration are relative to.
 
     Raises:
-        DatasetError: the poses are not known, or files of the parts or of the bin have changed.
+        DatasetError: the poses are unknown, or files of the parts or of the bin have changed.
         GraycastError: a file in the configuration cannot be used.
     """
     claim = dataset.claim
@@ -99,10 +99,10 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
 def make_world(
     stock: Stock, labelling: Labelling, *, progress: ProgressMeter = UNWATCHED
 ) -> GraspWorld:
-    """Return a stock with its bodies, and search for grips on each kind of part.
+    """Return a stock with its rigid bodies and with the grips on each kind of part.
 
     Raises:
-        ConfigError: the tool fits around none of the parts.
+        ConfigError: the jaws do not fit around any of the parts.
     """
     bodies = make_bodies(stock.parts, progress=progress)
     places = []

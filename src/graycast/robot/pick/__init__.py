@@ -1,12 +1,12 @@
-"""A simulated robot that empties a bin, from the rendered light to the lifted part.
+"""A simulated robot that empties a bin, from the rendered scan to the lifted part.
 
 pick_sections, robot_cell, ready, arms, robot   the robot's cell: settings, files and preparation
-tools, suction_tool, jaw_tool, contact          grippers: their protocol, their kinds, and grips
+tools, suction_tool, jaw_tool, contact          grippers: the protocol, its two kinds, and contact
 bin_scan, aim, choose      a scan, the grips on the scanned parts, and the choice of a grip
-obstacles, motion, ways    paths of the arm
+obstacles, motion, ways    collision-free paths of the arm
 touch, carry, episode      execution of the grip, and the sequence of picks from one bin
 outcome, pick_files, pick_run, clock            results, their folder, and runs over many bins
-summary, replay, solids    summaries and animations of the results
+summary, replay, solids    summaries of the results, and data for their animation
 """
 
 from .outcome import Attempt, Outcome

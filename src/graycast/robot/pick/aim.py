@@ -1,4 +1,4 @@
-"""The order of the detected parts in a scan, and candidate grips on these parts."""
+"""The order in which detected parts are tried, and candidate grips on these parts."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,18 +16,18 @@ from .obstacles import FLOOR_M, WALL_M
 
 LEAST_AREA = 0.3  # A detection needs at least this share of the largest detection's pixels.
 LEAST_POSE = 0.3  # Poses with a lower score give no grips.
-BESIDE_PX = 2  # The search for covering parts extends this far from the outline.
-COVERED_M = 8e-3  # A surface nearer to the camera by more than this covers the part.
-COVERED_SHARE = 0.08  # A part counts as covered if more than this share of its outline is covered.
-PLACES = 40  # Each round of the search without a model tries this many grips for each detection.
+BESIDE_PX = 2  # The search for covering parts extends this far outside the outline.
+COVERED_M = 8e-3  # A surface that is nearer to the camera by more than this covers the part.
+COVERED_SHARE = 0.08  # A part counts as covered if more than this share of its outline is.
+PLACES = 40  # number of grips that each round of the search without a model tries per detection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A candidate part in the picture: its outline, a box [x, y, columns, rows], or both.
+    """A candidate part in the picture: its mask, its box [x, y, columns, rows], or both.
 
-    `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true pose if
-    the robot is to use this pose, otherwise None.
+    `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true pose
+    if the robot is to use it, otherwise None.
     """
 
     kind: int | None
@@ -78,8 +78,8 @@ def ranked(
 ) -> list[list[Candidate]]:
     """Return the detections with enough depth, in the order in which the robot tries them.
 
-    The first group are free parts, the second are parts that another part covers, and the third are
-    parts on which a grip failed before. In each group, the highest part comes first.
+    The first group contains free parts, the second contains parts that another part covers, and the
+    third contains parts on which a grip failed before. Each group begins with the highest part.
     """
     point_m = points(view.camera, view.depth_m)
     area, height = [], []
@@ -100,9 +100,9 @@ def ranked(
 
 
 def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]) -> float:
-    """Return the share of an outline's pixels that have a much nearer surface beside them.
+    """Return the share of an outline's pixels next to which a much nearer surface is.
 
-    Such a surface is another part that covers this part or is close in front of it.
+    Such a surface belongs to another part, which covers this part or is close in front of it.
     """
     around = np.ones((3, 3), bool)
     rim = inside & ~ndimage.binary_erosion(inside, around) & np.isfinite(depth_m)
@@ -115,7 +115,7 @@ def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h
 def _holds_any(
     target: Candidate, view: DepthView, place_m: Sequence[Float[np.ndarray, "3"]]
 ) -> bool:
-    """Return whether any of the places in the world is within a detection's outline."""
+    """Return whether any of the places (in the world) is within a detection's outline."""
     if not len(place_m):
         return False
     inside = target.inside(view.depth_m.shape)
@@ -126,7 +126,7 @@ def _holds_any(
 
 
 def whole_bin(view: DepthView, box: Bin) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels measured inside the bin and above its floor, which may show parts."""
+    """Return a mask of the pixels inside the bin and above its floor, which may show parts."""
     depth_m = np.nan_to_num(view.depth_m)
     point = transform_points(view.T_world_cam, points(view.camera, depth_m))
     half = np.array(box.inner_m[:2]) / 2 - WALL_M
@@ -142,9 +142,9 @@ def aims_by_pose(
     most_lean_rad: float,
     posed: list[Candidate],
 ) -> list[Aim]:
-    """Return known grips on the models, moved to the poses of the parts.
+    """Return the known grips of the parts, moved to the parts' poses.
 
-    Targets with a pose are added to `posed`.
+    This function appends the targets whose pose is known to `posed`.
     """
     aims = []
     for target in targets:
@@ -173,8 +173,8 @@ def aims_by_pose(
 
 
 def _pose(model: PoseModel, target: Candidate, view: DepthView) -> Float[np.ndarray, "4 4"] | None:
-    # A detector's masks are coarse, and a pose depends on the mask's outline, so more poses are
-    # right with its boxes (docs/measurements/pose.md). Truth has only masks.
+    # A detector's masks are coarse, and the estimated pose depends on the mask's outline. With the
+    # detector's boxes, more poses are right (docs/measurements/pose.md). The truth has only masks.
     if target.box_px is not None:
         box_px = np.asarray(target.box_px)
         match = find_pose_in_box(model, view.depth_m, view.camera, box_px)
@@ -198,12 +198,12 @@ def aims_in_depth(
 
 
 def trial_order(aims: Sequence[Aim]) -> list[Aim]:
-    """Sort grips: highest score first; if rounded scores are equal, the highest position first."""
+    """Sort grips by descending score, rounded to one decimal, then by descending height."""
     return sorted(aims, key=lambda aim: (-round(aim.score, 1), -float(aim.place_m[2])))
 
 
 def spread(aims: Sequence[Aim], apart_m: float, *, round_tool: bool) -> Iterator[Aim]:
-    """Yield grips without near repetitions, which have almost the same tip, axis and rotation."""
+    """Yield the grips, but skip those with almost the same tip, axis and rotation as another."""
     taken: list[Aim] = []
     for aim in aims:
         axis = aim.T_world_tool[:3, 2]

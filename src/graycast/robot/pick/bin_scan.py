@@ -1,4 +1,4 @@
-"""One scan of the bin: light, sensor, decoding and detection."""
+"""One scan of the bin: rendering, sensor, decoding and detection."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,7 +20,7 @@ from ..grasp import DepthView
 from .aim import Candidate, whole_bin
 from .robot_cell import PickCell
 
-LEAST_VISIBLE_PX = 30  # A part with fewer visible pixels is no target of the truth.
+LEAST_VISIBLE_PX = 30  # The truth as detector reports no part with fewer visible pixels.
 LEAST_SCORE = 0.3
 
 
@@ -28,8 +28,8 @@ LEAST_SCORE = 0.3
 class BinScan:
     """The result of a scan, and the true scene from the same view.
 
-    `instance` is the number of the true part at each pixel, or -1. `seconds` is the simulated time
-    of the frames: exposure and read-out.
+    `instance` is the index of the true part at each pixel, or -1. `seconds` is the simulated time
+    of the frames, which is exposure and read-out.
     """
 
     view: DepthView
@@ -42,9 +42,9 @@ class BinScan:
 def scan(
     cell: PickCell, renderer: Renderer, layout: Layout, *, seed: np.random.SeedSequence
 ) -> BinScan:
-    """Scan the parts at their poses; depth that cannot be decoded is missing.
+    """Scan the parts at their poses; depth that cannot be decoded is NaN.
 
-    If only perfect depth is used, the recorded picture is rendered with one sample per pixel.
+    Without measured depth and a trained detector, one sample per pixel suffices for the picture.
 
     Raises:
         ValueError: the picture is dark, or a value is out of its range.
@@ -106,8 +106,8 @@ def targets(
     """Return the candidate parts in a scan.
 
     Args:
-        layout: the true poses of the parts; only for detections or poses from the truth.
-        detector: an opened detector if the cell names one.
+        layout: the true poses of the parts, which are used only if detections or poses are true.
+        detector: an opened detector, or None to use the truth.
     """
     picking = cell.config.picking
     if picking.detector == "none":
@@ -155,7 +155,7 @@ def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
 
 
 def _with_true_pose(target: Candidate, shot: BinScan, layout: Layout) -> Candidate:
-    """Return a detection with kind and true pose of the part that covers most of its pixels."""
+    """Return a detection with the kind and the true pose of the part that fills most of it."""
     inside = shot.instance[target.inside(shot.instance.shape)]
     inside = inside[inside >= 0]
     if not len(inside):

@@ -1,4 +1,4 @@
-"""Execution of a grip: the tool grips, lifts and carries the part, and the other parts settle."""
+"""Execute a grip: the tool grips, lifts and carries the part, and the other parts settle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,16 +20,16 @@ from .robot import Joints
 from .touch import touch
 from .ways import Ways
 
-FREED_M = 0.1  # Failed grips this near to a removed part may be tried again.
+FREED_M = 0.1  # Within this distance of a picked part, failed grips may be tried again.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinState:
     """A bin between two attempts.
 
-    `numbers` are the numbers of the parts in the bin, in the layout's order. `hand_eye` maps
-    planned poses of the tip to true ones (calibration error). `q` are the arm's joint angles. Near
-    `tabu`, grips failed; near `blocked`, no path was found. A pick nearby removes these entries.
+    `numbers` has the number of each part in the bin, in the layout's order. `hand_eye` maps planned
+    poses of the tip to true poses (calibration error). `q` has the arm's joint angles. Grips failed
+    at the places `tabu`; no path was found to the places `blocked`. A pick removes places near it.
     """
 
     layout: Layout
@@ -40,11 +40,11 @@ class BinState:
     blocked: tuple[Float[np.ndarray, "3"], ...] = ()
 
     def without_way(self, places_m: Sequence[Float[np.ndarray, "3"]]) -> "BinState":
-        """Return the state with more places to which the arm found no path."""
+        """Return the state with additional places to which the arm found no path."""
         return replace(self, blocked=(*self.blocked, *places_m))
 
     def gripped(self, place_m: Float[np.ndarray, "3"], *, taken: bool) -> "BinState":
-        """Return the state after a grip: remember a failed place, or forget places near a pick."""
+        """Return the state after a grip, with a new failed place or without places near a pick."""
         if not taken:
             return replace(self, tabu=(*self.tabu, place_m))
         tabu, blocked = (
@@ -56,7 +56,7 @@ class BinState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carried:
-    """The outcome of a grip; fields as in `Attempt`, but `part` is an index in the layout."""
+    """The outcome of a grip; fields are as in `Attempt`, but `part` is an index in the layout."""
 
     outcome: Outcome
     detail: str = ""
@@ -129,7 +129,7 @@ def _carried(
 def _path(
     ready: Ready, ways: Ways, T_world_tool: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "t 4 4"]:
-    """Return the true poses of the tool with the part, one for each step of the engine.
+    """Return the true poses of the tool with the part, one for each step of the physics engine.
 
     Args:
         T_world_tool: the tool's true pose at the start, which differs from the planned pose.
@@ -145,7 +145,7 @@ def _path(
 def _settled(
     ready: Ready, world: BinState, T_world_part: Float[np.ndarray, "n 4 4"], keep: np.ndarray
 ) -> BinState:
-    """Return the bin with the remaining parts at rest again, without parts that fell out of it."""
+    """Return the bin after the remaining parts have settled, without parts that fell out of it."""
     box, limits = ready.cell.box, ready.cell.config.drop
     numbers, index, poses = world.numbers[keep], world.layout.part_index[keep], T_world_part[keep]
     if not len(numbers):
@@ -159,7 +159,7 @@ def _settled(
 
 
 def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] | None:
-    """Return the pose error of a grip, compared with the nearest part of its kind; or None."""
+    """Return a grip's pose error relative to the nearest part of its kind; None if unknown."""
     if aim.T_cam_part is None or aim.target.kind is None:
         return None
     scene, kind = ready.cell.cell.scene, aim.target.kind
@@ -174,6 +174,6 @@ def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] |
 
 
 def _blamed(outcome: Outcome, error: tuple[float, float] | None) -> Outcome:
-    """Return `WRONG_POSE` if the pose was wrong, otherwise the given outcome of the failure."""
+    """Return `WRONG_POSE` if the pose was wrong, otherwise the outcome of the failed grip."""
     off = error is not None and (error[0] > WRONG_RAD or error[1] > WRONG_M)
     return Outcome.WRONG_POSE if off else outcome

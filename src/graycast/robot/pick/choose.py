@@ -16,13 +16,13 @@ from .ready import Ready
 from .robot import Joints, Obstacle, tool_touches
 from .ways import Blocked, Load, Ways, WaySearch
 
-TABU_M = 0.015  # No grip this near to a failed grip is tried until a part near it is picked.
+TABU_M = 0.015  # No grip this near to a failed grip is tried before a part near it is picked.
 BLOCKED_M = 0.04  # Grips this near to an unreachable grip are tried last.
-ALIKE_M = 0.008  # Planning treats similar grips within this distance as one grip.
+ALIKE_M = 0.008  # Of several similar grips within this distance, only one is planned.
 LEAST_UP_M = 0.02
-# The visible middle of an unknown part is this near to its centre of mass, along each axis.
+# standard deviation of an unknown part's centre of mass from its visible middle, along each axis
 UNKNOWN_CENTER_M = 0.01
-# A surface that is farther off the part's surface, on more of the tool's area, is another body.
+# A larger deviation from the part's surface, on a larger share of the area, is another part.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 _MISSING = (
     "no detection",
@@ -54,8 +54,8 @@ def choose(
 ) -> Choice | Blocked:
     """Return a grip on one of the targets, or the reason why there is none.
 
-    A grip near another one to which no path was found is tried after all others, because it is
-    probably too far or too steep for the arm, too.
+    If the arm found no path to a grip, grips near it are tried last, because they are probably too
+    far away or too steep as well.
 
     Args:
         q: the arm's present joint angles.
@@ -68,7 +68,7 @@ def choose(
     heaps, posed, reached = _Heaps(ready, view), list[Candidate](), int(bool(targets))
 
     def aims() -> Iterator[Aim]:
-        """Yield grips in the order of trial; grips near a place of a failed plan come last."""
+        """Yield grips in the order of trial; grips near a place without a path come last."""
         nonlocal why, reached
         later = []
         for together in _together(ranked(targets, view, (*tabu, *blocked)), picking.targets):
@@ -104,7 +104,7 @@ def choose(
 
 
 def _together(groups: Sequence[Sequence[Candidate]], count: int) -> Iterator[Sequence[Candidate]]:
-    """Yield batches of up to `count` targets; each batch is from one group."""
+    """Yield batches of up to `count` targets; each batch comes from one group."""
     for group in groups:
         for start in range(0, len(group), count):
             yield group[start : start + count]
@@ -119,7 +119,7 @@ def _near(
 def _aims(
     ready: Ready, targets: Sequence[Candidate], view: DepthView, seed: int, posed: list[Candidate]
 ) -> list[Aim]:
-    """Return grips on some targets; add the targets with a known pose or surface to `posed`."""
+    """Return grips on some targets; append the targets with a known pose or surface to `posed`."""
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
     search = ready.tool.in_depth
@@ -144,7 +144,7 @@ class _Heap:
 
 
 class _Heaps:
-    """The measured heap as an obstacle; for a tool that reaches round a part, without this part."""
+    """The measured heap as an obstacle; without the part that a tool is to enclose."""
 
     def __init__(self, ready: Ready, view: DepthView) -> None:
         self._ready, self._shape = ready, view.depth_m.shape
@@ -153,7 +153,7 @@ class _Heaps:
 
     def of(self, aim: Aim) -> _Heap:
         own = self._ready.tool.reaches_round
-        key = id(aim.target) if own else -1  # Targets outlive the choice, so ids stay unique.
+        key = id(aim.target) if own else -1  # An id is unique because all targets stay in memory.
         if key not in self._heaps:
             without = aim.target.inside(self._shape) if own else None
             heap = measured_heap(self._points, without=without)
@@ -165,9 +165,9 @@ class _Heaps:
 
 
 def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
-    """Return a reason if the measured surface under a tool differs from the part; else None.
+    """Return a reason if the measured surface under a tool differs from the part, else None.
 
-    If it differs, another part is on top of it, or the pose is wrong.
+    If it differs, another part is on top of the part, or the pose is wrong.
     """
     ground_m = ready.tool.ground_m
     if ground_m is None or aim.T_cam_part is None:
@@ -180,7 +180,7 @@ def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
         step_m=ground_m / 10,
     )
     under = np.linalg.norm(patch.node_m, axis=-1) <= ground_m
-    height_m = patch.height_m[under]  # NaN is neither above nor below
+    height_m = patch.height_m[under]  # Comparisons with NaN are false below.
     if np.mean(height_m > UNLIKE_M) > UNLIKE_SHARE:
         detail = "an object is at the place of the cup"
         return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
@@ -191,7 +191,7 @@ def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
 
 
 def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:
-    """Return a reason if the tool alone would collide at the grip; this check is fast."""
+    """Return a reason if the tool alone would collide at the grip, which is a fast check."""
     obstacles = (*ready.here.standing, heap.obstacle)
     tool = ready.tool.pieces(aim.opening_m)
     hit = tool_touches(tool, ready.here.flange(aim.T_world_tool), obstacles)
@@ -218,11 +218,11 @@ def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | B
 
 
 def _load(ready: Ready, aim: Aim) -> Load:
-    """Return the extent of the part from the tip.
+    """Return the extent of the part as seen from the tip.
 
-    An unknown part is assumed as large as the largest part, but it cannot reach through the floor.
-    If the tip is at height h above the floor and the tool leans by an angle a, the part is at most
-    h cos a + size sin a below the tip once the tool is upright.
+    An unknown part is assumed to be as large as the largest part, but it cannot reach through the
+    floor. If the tip is at height h above the floor and the tool leans by an angle a, then the part
+    extends at most h cos a + size sin a below the tip when the tool is upright.
     """
     if aim.T_part_tool is None:
         size_m, axis = ready.load.below_m, aim.T_world_tool[:3, 2]

@@ -12,7 +12,7 @@ from ...world.drop import Hold
 from ...world.parts import Mesh, Part
 from .outcome import Outcome
 
-LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # `grasp.load_factor` of one tool
+LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # the tool's `load_factor` in `grasp`
 
 
 @public_value
@@ -33,11 +33,11 @@ class PartGrip:
         law: LoadLaw,
         stiffness_n_m: float,
     ) -> "PartGrip":
-        """Return a grip of a part by a tool.
+        """Return the grip of a tool on a part.
 
         Args:
             law: function that returns safety factors of forces [N] and moments [Nm], each (k, 3).
-            stiffness_n_m: stiffness of the tool along each axis.
+            stiffness_n_m: stiffness of the tool along each axis, in N/m.
         """
 
         def factor(force_n: np.ndarray, moment_nm: np.ndarray) -> float:

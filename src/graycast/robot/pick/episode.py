@@ -1,8 +1,8 @@
-"""One bin, which is filled by a drop and emptied by the robot until it has to stop.
+"""One bin, which is filled by a drop and emptied until it is empty or too many grips fail.
 
 The physics of the drop continues: each part is lifted from among its neighbours, and the other
-parts come to rest again before the next scan. A failed grip leaves its part at its place or
-wherever the part fell.
+parts come to rest again before the next scan. After a failed grip, the part stays at its place
+or wherever it fell.
 """
 
 from dataclasses import dataclass, replace
@@ -38,9 +38,9 @@ AXIS_M = 0.05
 class Episode:
     """The record of one emptied bin.
 
-    `filled` is the number of parts at the start, `taken` of parts that the tool took out, `left` of
-    parts in the bin at the end; all others fell outside. Each attempt has an entry in `pictures`
-    (RGB) and `depths_m` (used by the robot). `kinds` has each part's index among the cell's parts.
+    `filled`, `taken` and `left` are the numbers of parts at the start, taken out by the tool, and
+    in the bin at the end; all others fell outside. `pictures` (RGB) and `depths_m` (used by the
+    robot) have an entry for each attempt. `kinds` has each part's index among the cell's parts.
     """
 
     bin_id: int
@@ -68,7 +68,7 @@ def empty_bin(
     """Fill a bin, empty it, and return the record.
 
     Raises:
-        DropError: the parts did not come to an acceptable rest.
+        DropError: the parts did not come to rest in the bin.
         ValueError: a picture is dark, or a value is out of its range.
     """
     config = ready.cell.config
@@ -176,7 +176,7 @@ def _attempt(
 
 
 def _sampled(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t joints"]]:
-    """Return times and joint angles of the whole motion, one row every `POSE_STEP_S`."""
+    """Return times and joint angles of the whole motion, one row per `POSE_STEP_S`."""
     times, angles, before = [], [], 0.0
     for way in ways.all:
         for t in np.arange(0.0, way.seconds, POSE_STEP_S):
@@ -187,7 +187,7 @@ def _sampled(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t 
 
 
 def _picture(bin_scan: BinScan, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the white frame with the part's outline, the tool's axis and the outcome (RGB)."""
+    """Return the scan's picture (RGB) with the part's outline, the tool's axis and the outcome."""
     image = np.ascontiguousarray(np.repeat(srgb_of_bytes(bin_scan.gray)[..., None], 3, axis=-1))
     ink = _GOOD if attempt.outcome in TAKEN else _BAD
     if attempt.part is not None:
@@ -208,7 +208,7 @@ def _picture(bin_scan: BinScan, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _label(image: UInt8[np.ndarray, "h w 3"], text: str) -> None:
-    """Write white text on a black background at the top left of a picture."""
+    """Write white text on a black background at the top left of a picture, in place."""
     font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
     (width_px, height_px), below_px = cv2.getTextSize(text, font, size, 1)
     corner = (width_px + 11, height_px + below_px + 7)

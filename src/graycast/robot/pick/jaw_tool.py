@@ -37,7 +37,7 @@ class JawTool(Settings):
     lost: ClassVar[Outcome] = Outcome.SLIPPED
     is_round: ClassVar[bool] = False
     reaches_round: ClassVar[bool] = True
-    in_depth: ClassVar[None] = None  # One finger presses on a side that the scan does not show.
+    in_depth: ClassVar[None] = None  # One finger touches a side that the camera cannot see.
     ground_m: ClassVar[None] = None  # The fingers need no flat surface of the part.
     soft: ClassVar[tuple[Mesh, ...]] = ()
 
@@ -104,7 +104,7 @@ class JawTool(Settings):
                 detail=f"a finger meets the part {1e3 * contact.ahead_m:.1f} mm before its pad",
                 part=part,
             )
-        # The jaws close about the tool's middle: the part moves there, or the arm yields.
+        # Closing jaws centre the part, or the arm yields; both centre the tool on the part.
         return PartGrip.of(
             part,
             T_world_part[part],

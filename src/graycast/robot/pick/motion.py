@@ -1,8 +1,8 @@
-"""Collision-free paths, planned by OMPL and timed by TOPP-RA as fast as the joints allow.
+"""Plan collision-free paths with OMPL, and time them with TOPP-RA as fast as the joints allow.
 
 If a straight line in joint angles collides, RRT-Connect plans a path, which is then shortened.
-The planner stops after a number of calls and not after a time, so that a seed gives the same path
-on any machine.
+The planner stops after a number of calls instead of after a time, so that a seed gives the same
+path on every machine.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 from ...base.frames import rigid
 from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
 
-# largest distance of poses that are checked for collisions: 30 mm at 0.8 m
+# largest step between poses that are checked for collisions; 30 mm at a radius of 0.8 m
 CHECKED_RAD = 0.04
-STEP_M, STEP_RAD = 0.01, 0.1  # Poses on a straight line are at most this far apart.
+STEP_M, STEP_RAD = 0.01, 0.1  # largest distance and rotation between poses on a straight line
 JUMP_RAD = 0.3  # A joint that turns by more between two poses of a straight line has jumped.
-MOST_CALLS = 20_000  # The planner asks its end condition this often before it gives up.
+MOST_CALLS = 20_000  # number of calls of its end condition after which the planner gives up
 SHORTCUTS = 60
 RISE_S = 0.12
 SPACED_RAD = 0.1
@@ -32,7 +32,7 @@ Free = Callable[[Joints], bool]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
-    """A motion: joint angles at evenly spaced times, which start at 0."""
+    """A motion: joint angles at evenly spaced times, beginning at time 0."""
 
     time_s: Float[np.ndarray, " t"]
     q: Float[np.ndarray, "t joints"]
@@ -53,7 +53,7 @@ class Trajectory:
 def plan(
     robot: Robot, start: Joints, goal: Joints, obstacles: Sequence[Obstacle], *, seed: int
 ) -> Float[np.ndarray, "k joints"] | None:
-    """Return the corners of a collision-free path between two sets of joint angles, or None.
+    """Return the corners of a collision-free path between two sets of joint angles.
 
     The result is None if no path was found, or if the start or the goal collides.
     """
@@ -90,7 +90,7 @@ def _connected(
     from ompl.util import RNG, noOutputHandler
 
     noOutputHandler()
-    RNG.setSeed(seed + 1)  # With seed 0, OMPL would use the clock.
+    RNG.setSeed(seed + 1)  # OMPL would replace the seed 0 by the time.
     space = base.RealVectorStateSpace(len(start))
     bounds = base.RealVectorBounds(len(start))
     for i, (low, high) in enumerate(zip(robot.low, robot.high, strict=True)):
@@ -98,7 +98,7 @@ def _connected(
         bounds.setHigh(i, float(high))
     space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
-    # OMPL measures the length of a step by its norm, as a share of the space's extent.
+    # OMPL expects the step between checks as a share of the space's maximum extent.
     setup.getSpaceInformation().setStateValidityCheckingResolution(
         CHECKED_RAD / space.getMaximumExtent()
     )
@@ -136,8 +136,8 @@ def drive(
     """Return the fastest motion along a path that the joints' speeds and accelerations allow.
 
     A spline through points `SPACED_RAD` apart follows the path and rounds its corners by less than
-    that. The motion starts and ends at rest. A moving average over `RISE_S` smooths the steps in
-    acceleration, as robot controllers do; it makes no joint faster.
+    this distance. The motion starts and ends at rest. A moving average over `RISE_S` smooths the
+    steps in acceleration, as robot controllers do. It does not increase any joint's speed.
     """
     import toppra
     import toppra.algorithm
@@ -179,7 +179,7 @@ def straight(
     T_base_flange: Float[np.ndarray, "4 4"],
     obstacles: Sequence[Obstacle],
 ) -> Float[np.ndarray, "k joints"] | None:
-    """Return the joint angles of a straight motion of the flange with even rotation.
+    """Return the joint angles of a straight motion of the flange with uniform rotation.
 
     The result is None if a pose on the line is out of reach, collides, or makes a joint jump.
     """

@@ -1,13 +1,13 @@
-"""The obstacles of the arm as shapes of Coal: bin, table, rig, and the measured heap.
+"""The arm's obstacles as Coal shapes: bin, table, rig, and the measured heap.
 
-Measured points become heights over a grid on the bin's floor. A node without a measurement may hide
-a part, so its height is guessed: the largest height within `GUESSED_M` of the nearest measured
-node. Hence a shadow beside a part is as high as the part, and the middle of a dark, wide hole is as
-high as its rim. An isolated point, such as a spike, is ignored. Points on the bin's walls are also
-ignored, because the bin is an obstacle of its own: otherwise, guesses beside a wall would be as
-high as the wall. Finally, each node gets the height of its highest neighbour, because a scanner
-does not measure the rim of a part and because the grid rounds positions. A tool therefore keeps a
-distance of `CELL_M`.
+The measured points become heights on a grid over the bin's floor. A node without a measurement
+may hide a part, so its height is guessed as the largest height within `GUESSED_M` of the nearest
+measured node. Hence a shadow next to a part is as high as the part, and the middle of a wide, dark
+hole is as high as its rim. Isolated points, such as spikes, are ignored. Points on the bin's
+walls are also ignored, because the bin is a separate obstacle; otherwise, guesses next to a wall
+would be as high as the wall. Finally, each node gets the height of its highest neighbour, because
+a scanner does not measure the edge of a part and because the grid rounds positions. A tool
+therefore keeps a distance of `CELL_M`.
 """
 
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ from ...world.scene import TABLE_HALF_M, Bin, Scene, bin_mesh, bin_of
 from .robot import Obstacle
 
 CELL_M = 4e-3
-BESIDE = ndimage.generate_binary_structure(2, 1)  # maximum of a node and its four neighbours
+BESIDE = ndimage.generate_binary_structure(2, 1)  # a node and its four neighbours
 GUESSED_M = 8e-3
-NEIGHBOURS, STEP_M = 3, 6e-3  # A point counts if this many neighbours differ less in depth.
+NEIGHBOURS, STEP_M = 3, 6e-3  # A point needs this many neighbours with a smaller step in depth.
 FLOOR_M = 3e-3  # Points less than this above the bin's floor belong to the floor.
 WALL_M = 5e-3  # Points nearer than this to a wall belong to the wall.
-BELOW_M = 0.05  # thickness of the table, and depth of the solid heap below the floor
-RIG_M = 0.06  # half the thickness of the box around camera, projector and their connection
+BELOW_M = 0.05  # thickness of the table, and of the solid below the heap
+RIG_M = 0.06  # margin of the box around the optical centres of camera and projector
 
 
 def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obstacle, ...]:
@@ -61,7 +61,7 @@ def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obst
 
 
 def triangles(mesh: Mesh) -> Any:
-    """Return a mesh as Coal's surface of triangles, which a shape wholly inside does not touch."""
+    """Return the triangles of a mesh as a Coal shape, which only touches what meets its surface."""
     import coal
 
     model = coal.BVHModelOBBRSS()
@@ -78,7 +78,7 @@ def triangles(mesh: Mesh) -> Any:
 
 
 def hull(vertices_m: Float[np.ndarray, "v 3"]) -> Any:
-    """Return the convex hull of points as Coal's shape."""
+    """Return the convex hull of points as a Coal shape."""
     import coal
 
     points = coal.StdVec_Vec3s()
@@ -89,7 +89,7 @@ def hull(vertices_m: Float[np.ndarray, "v 3"]) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredHeap:
-    """Heights [m] above the bin's inner floor, in the world.
+    """Heights [m] above the bin's inner floor, on a grid in the world frame.
 
     Node [i, j] is at x = (j - (columns - 1) / 2) * CELL_M and y = (i - (rows - 1) / 2) * CELL_M.
     `is_measured` is true at nodes with a measured point.
@@ -105,10 +105,10 @@ class MeasuredHeap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredPoints:
-    """The points [m, in the world] of a scan that may be on parts, and their pixels."""
+    """The measured points [m, world frame] that may be on parts, and a mask of their pixels."""
 
     point_m: Float[np.ndarray, "n 3"]
-    pixel: Bool[np.ndarray, "h w"]  # in the same order as `point_m`
+    pixel: Bool[np.ndarray, "h w"]  # Its true pixels are in the order of `point_m`.
     box: Bin
 
 
@@ -121,7 +121,7 @@ def measured_points(
     """Return the measured points, without spikes and without the walls of the bin.
 
     Args:
-        depth_m: z coordinate of each pixel, NaN if it is missing.
+        depth_m: z coordinate of each pixel in the camera's frame; NaN if it is missing.
     """
     pixel = _supported(depth_m) & ~_of_wall(depth_m, camera, T_world_cam, box)
     point_m = transform_points(T_world_cam, points(camera, depth_m)[pixel])
@@ -134,7 +134,7 @@ def measured_heap(
     """Return the measured and guessed heights above the bin's floor.
 
     Args:
-        without: pixels to ignore, which show the part that fingers are to grip.
+        without: pixels to ignore because they show the part that the fingers are to grip.
     """
     size_m = points.box.inner_m
     keep = np.s_[:] if without is None else ~without[points.pixel]
@@ -150,11 +150,11 @@ def measured_heap(
 
 
 def heap_obstacle(heap: MeasuredHeap, T_base_world: Float[np.ndarray, "4 4"]) -> Obstacle:
-    """Return a solid obstacle from `BELOW_M` under the floor up to the heights of the heap."""
+    """Return a solid obstacle from `BELOW_M` under the floor to the heights of the heap."""
     import coal
 
     rows, columns = heap.height_m.shape
-    # Coal's rows run from the far side along y to the near side.
+    # Coal's first row is at the largest y.
     field = coal.HeightFieldOBBRSS(
         (columns - 1) * CELL_M, (rows - 1) * CELL_M, np.ascontiguousarray(heap.height_m[::-1]),
         -BELOW_M,
@@ -195,7 +195,7 @@ def _guessed(
     height: Float[np.ndarray, "r c"], valid: Bool[np.ndarray, "r c"], rim_m: float
 ) -> Float[np.ndarray, "r c"]:
     if not valid.any():
-        return np.full(height.shape, rim_m)  # nothing is known, so nothing is free
+        return np.full(height.shape, rim_m)  # Without measurements, the whole bin may be full.
     reach = int(np.ceil(GUESSED_M / CELL_M))
     around = ndimage.maximum_filter(height, size=2 * reach + 1, mode="nearest")
     nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)

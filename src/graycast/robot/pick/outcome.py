@@ -1,4 +1,4 @@
-"""The possible outcomes of an attempt to pick a part, and its record."""
+"""The possible outcomes of an attempt to pick a part, and the record of an attempt."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,18 +9,18 @@ from jaxtyping import Float
 
 
 class Outcome(StrEnum):
-    """The outcome of a scan and its grip. The first four values occur before the arm moves."""
+    """The outcome of a scan and its grip. With the first four, the arm does not move."""
 
-    NOTHING_FOUND = "nothing found"  # no part, no pose, or no place where a tool would hold
+    NOTHING_FOUND = "nothing found"  # There is no part, no pose, or no place where a tool holds.
     COLLISION_SEEN = "collision seen"  # Every grip would push the tool into the measured heap.
-    UNREACHABLE = "unreachable"  # no joint angles, or no free way
+    UNREACHABLE = "unreachable"  # There are no joint angles, or there is no collision-free path.
     GIVEN_UP = "given up"  # Every grip is near a failed one.
     PICKED = "picked"
-    TWO_AT_ONCE = "two at once"  # Another part left the bin with the target.
+    TWO_AT_ONCE = "two at once"  # Another part left the bin together with the target.
     MISSED = "missed"  # The tool touched nothing.
-    WRONG_POSE = "wrong pose"  # The pose was wrong by over `WRONG_RAD` or `WRONG_M`.
+    WRONG_POSE = "wrong pose"  # The error of the pose was above `WRONG_RAD` or `WRONG_M`.
     NOT_HELD = "not held"  # The cup did not seal, or the jaws did not close on both sides.
-    COLLISION_UNSEEN = "collision unseen"  # The tool hit something that the scanner did not show.
+    COLLISION_UNSEEN = "collision unseen"  # The tool hit something that the scan did not show.
     LOST_SEAL = "lost seal"  # A cup lost its part on the way.
     SLIPPED = "slipped"  # Jaws lost their part on the way.
 
@@ -31,9 +31,9 @@ BEFORE_MOVING = (
     Outcome.UNREACHABLE,
     Outcome.GIVEN_UP,
 )
-# With these outcomes, the tool has taken the part out of the bin.
+# With these outcomes, the tool took the part out of the bin.
 TAKEN = (Outcome.PICKED, Outcome.TWO_AT_ONCE)
-# A pose with a larger error is wrong; symmetries of the part make no difference.
+# A pose with a larger error is wrong; the error is the smallest over the part's symmetries.
 WRONG_RAD, WRONG_M = np.radians(10.0), 5e-3
 
 
@@ -43,7 +43,7 @@ class Attempt:
 
     Attributes:
         outcome: the outcome of the attempt.
-        detail: more about the outcome in words, or an empty text.
+        detail: more about the outcome in words, or an empty string.
         T_world_part: true poses of all parts before the grip.
         present: numbers of the parts that were in the bin before the grip.
         part: number of the part that the tool touched; None if it touched none.
@@ -52,10 +52,10 @@ class Attempt:
         T_world_tool: planned pose of the tool's tip.
         opening_m: opening of the jaws for the grip; None for a suction cup.
         pose_error: error of the estimated pose of the part: angle [rad] and distance [m].
-        least_factor: the smallest safety factor of the load.
+        least_factor: the smallest safety factor of the load on the way.
         lost_s: time from the start of the lift to the loss of the part; None if it was not lost.
         seconds: simulated times of `scan` and `motion`.
-        work_s: this machine's computing time by stage, which differs from run to run.
+        work_s: computing time of each stage on this machine, which differs from run to run.
         time_s, q: times [s] and joint angles [rad] of the arm's motion.
         targets: number of detections.
     """

@@ -1,10 +1,10 @@
-"""Picks on disk: a folder of complete bins of one cell and one seed.
+"""Picks on disk: a folder with the completed bins of one cell and one seed.
 
 picks.json            the cell and the seed; picks with another cell or seed are refused
 bins/000000/
     episode.json      counts, attempts and their outcomes, and the poses of the parts
     motion.json       the arm's joint angles over time, for each attempt
-    work.json         this machine's computing time by stage; only this file differs between runs
+    work.json         computing time of each stage; only this file differs between runs
     pictures/000.png  the camera's picture with the tool's position and the outcome
     depth/000.png     the depth that the robot used, 16 bit, unit `DEPTH_STEP_M`; 0 is missing
 """
@@ -99,10 +99,10 @@ class PickFolder:
 
 @contextmanager
 def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
-    """Make a folder of picks, or open it again to continue the same cell and seed.
+    """Create a folder of picks, or open it again to continue with the same cell and seed.
 
     Raises:
-        DatasetError: the folder has another cell's picks or other files, or is in use.
+        DatasetError: the folder holds another cell's picks or other files, or is in use.
     """
     base = cell.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
@@ -142,8 +142,7 @@ def _tidy(out: Path) -> None:
 class StoredEpisode:
     """The content of a bin's `episode.json` and `work.json`.
 
-    `kinds` has each part's index among the cell's parts; it is empty if the file does not contain
-    these.
+    `kinds` has each part's index among the cell's parts; it is empty if the file lacks this key.
     """
 
     bin_id: int

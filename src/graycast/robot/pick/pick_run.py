@@ -1,4 +1,4 @@
-"""Many bins of one cell, emptied by workers and written to a folder of picks."""
+"""Empty many bins of one cell in worker processes, and write the results to a folder of picks."""
 
 import time
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from .robot_cell import PickCell
 
 
 class BinEmptier:
-    """A worker that empties the bins of one task; it opens renderer and robot once."""
+    """A worker that empties bins; it opens the renderer and the robot once."""
 
     def __init__(self, task: "PickTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
@@ -53,7 +53,7 @@ class BinEmptier:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickTask(Job):
-    """Data that a worker needs to empty any bin of a cell."""
+    """The data that a worker process needs to empty any bin of a cell."""
 
     RUNNER = BinEmptier
 
@@ -79,13 +79,13 @@ def pick(
     """Empty the bins 0 to bins - 1, except those that are finished in `out`.
 
     Args:
-        out: the folder of picks, which is made, or continued if it has the same cell and seed.
+        out: the folder of picks. It is created, or continued if it has the same cell and seed.
         device: device of the renderer.
-        on_result: receives each result, as in `generate`.
+        on_result, on_failed: functions that receive each result, and each failed attempt at a bin.
         on_failed: receives each failed attempt at a bin, with the reason.
 
     Returns:
-        The ids of the bins that could not be made.
+        The ids of the bins that failed.
 
     Raises:
         DatasetError: the folder has another cell's picks, is in use, or cannot be written.

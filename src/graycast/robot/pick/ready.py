@@ -1,4 +1,4 @@
-"""The prepared cell of a robot: arm, tool, bodies, known grips and detector."""
+"""Prepare the cell of a robot: arm, tool, rigid bodies, known grips and detector."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,11 +28,11 @@ _PLACES = 200
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
-    """The data that picking needs besides the contents of the bin.
+    """The data, apart from the contents of the bin, that picking needs.
 
-    `bare` is the arm without its tool. `alike` are the motions that leave each part's shape as it
-    is, even if they change its paint. `known` maps kinds of part to their grips; it is empty if the
-    grips do not come from models. `load` is a volume large enough for any of the parts.
+    `bare` is the arm without its tool. `alike` are the rigid motions that leave each part's shape
+    unchanged, even if they change its paint. `known` maps kinds of part to their grips; it is empty
+    if the grips do not come from models. `load` encloses any of the parts.
     """
 
     cell: PickCell
@@ -52,11 +52,11 @@ class Ready:
 
     @property
     def weight_n(self) -> float:
-        """Weight of the heaviest part."""
+        """Weight of the heaviest part, in newtons."""
         return max(body.mass_kg for body in self.bodies) * GRAVITY_M_S2
 
     def tip(self, q: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "4 4"]:
-        """Return `T_world_tip` at joint angles, from the arm's forward kinematics."""
+        """Return `T_world_tip` at joint angles [rad], from the arm's forward kinematics."""
         return self.cell.T_world_base @ self.robot.flange(q) @ self.here.T_flange_tip
 
 
@@ -64,7 +64,7 @@ def make_ready(cell: PickCell, *, progress: ProgressMeter = UNWATCHED) -> Ready:
     """Open the robot and the detector, and search for grips on the parts.
 
     Raises:
-        ConfigError: the robot, the place or the tool does not suit the cell; the error names which.
+        ConfigError: the robot, the place or the tool does not suit the cell.
         GraycastError: the detector does not exist.
     """
     config, parts = cell.config, cell.cell.scene.parts
@@ -131,7 +131,7 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
 
 
 def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
-    """Return a part's model and grips; raise ConfigError if the tool holds the part nowhere."""
+    """Return a part's model and grips; raise ConfigError if the tool cannot hold the part."""
     grips = best_first(grips_on(tool, part, body, count=_PLACES))
     if not grips:
         raise ConfigError(
@@ -145,7 +145,7 @@ def _detector(cell: PickCell) -> Any | None:
     """Open the cell's detector, if any; raise ConfigError if it cannot tell the parts apart."""
     if cell.detector is None:
         return None
-    from ...learn.detect import load_detector  # torch takes seconds to load
+    from ...learn.detect import load_detector  # The import of torch takes seconds.
 
     detector = load_detector(cell.detector)
     names = [part.name for part in cell.cell.scene.parts]

@@ -1,4 +1,4 @@
-"""Data to display a folder of picks: the shapes of the robot, and their poses over time.
+"""Data for the animation of a folder of picks: the robot's shapes, and their poses over time.
 
 All data come from the folder and from the configuration in it. If the configuration names files
 (a URDF, meshes), these must exist at their paths.
@@ -25,7 +25,7 @@ from .robot_cell import PickCell, resolve_pick_cell
 from .solids import joined, shape_mesh
 from .tools import T_flange_tip, Tool
 
-AT_GRIP_M = 1e-3  # The tip may be this far off its target at the grip; rounding errs by less.
+AT_GRIP_M = 1e-3  # largest distance of the tip from its target at the grip, for rounded angles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +33,7 @@ class Motion:
     """The robot's motion in one attempt, and the part that it carried.
 
     `T_world_limb` has the pose of each limb at each time. At `time_s[grip]`, the tool reaches the
-    part. From then until `held_until_s`, the part `part` moves with the limb `carrier` (an index).
+    part. From then until `held_until_s`, the part with the index `part` moves with limb `carrier`.
     """
 
     time_s: Float[np.ndarray, " t"]
@@ -46,7 +46,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
-    """Data that all bins of a folder share. `limbs` are in their own frames, the tool's last."""
+    """Data that all bins of a folder share; `limbs` are in their own frames, the tool's last."""
 
     folder: Path
     claim: Mapping[str, Any]
@@ -66,7 +66,7 @@ class Replay:
         *,
         closed: bool = False,
     ) -> Float[np.ndarray, "limbs 4 4"]:
-        """Return the poses of the limbs at joint angles [rad], for a tool as in `Tool.pieces`."""
+        """Return the poses of the limbs at joint angles [rad]; the tool is as in `Tool.pieces`."""
         T_world_base, tool = self.cell.T_world_base, self.cell.config.tool
         arm = T_world_base @ self.robot.places(q)
         T_world_flange = T_world_base @ self.robot.flange(q)
@@ -91,11 +91,11 @@ class Replay:
 
 
 def open_replay(out: Path, *, folder: Path) -> Replay:
-    """Return the data to display a folder of picks.
+    """Return the data for the animation of a folder of picks.
 
     Args:
         out: the folder of picks.
-        folder: the folder to which paths in the cell's configuration are relative.
+        folder: the folder that paths in the cell's configuration are relative to.
 
     Raises:
         GraycastError: the folder contains no picks, its `picks.json` is damaged, or files of the
@@ -188,12 +188,12 @@ def _held_until(
         return None
     if attempt["outcome"] in {str(outcome) for outcome in TAKEN}:
         return float(time_s[-1])
-    lost_s = attempt.get("lost_s")  # Older folders lack this key.
+    lost_s = attempt.get("lost_s")  # Folders of older versions lack this key.
     return None if lost_s is None else float(time_s[grip] + lost_s)
 
 
 def _arm_limbs(robot: Robot) -> list[Mesh]:
-    """Return a mesh for each limb of the arm; for a limb without a shape, a single point."""
+    """Return a mesh for each limb of the arm; it is a single point for a limb without a shape."""
     all_limbs = robot.limbs()
     limbs = []
     for number in range(len(robot.home) + 1):

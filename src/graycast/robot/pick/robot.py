@@ -1,6 +1,6 @@
 """A robot: forward and inverse kinematics, and collision checks.
 
-Pinocchio computes kinematics, and Coal computes collisions. A robot is a built-in arm or is read
+Pinocchio computes kinematics, and Coal computes collisions. A robot is a built-in arm or comes
 from the user's URDF file. Its base frame is the first link of the URDF, with z up.
 """
 
@@ -23,23 +23,23 @@ _STEPS, _STARTS = 60, 12
 _ALIKE_RAD = 0.05
 _DAMPING = 1e-6
 EXACT_M, EXACT_RAD = 1e-5, 1e-4
-# Neither maker states accelerations; with this one a joint has full speed after half a second.
+# The makers state no accelerations. With this value, a joint has full speed after half a second.
 ACCELERATION_RAD_S2 = 6.0
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Obstacle:
-    """A shape of Coal in the robot's base frame, with which the robot must not collide.
+    """A Coal shape in the robot's base frame, with which the robot must not collide.
 
-    The robot's base may touch it if `carries` is true.
+    If `carries` is true, the robot's base may touch it.
     """
 
     name: str
     shape: Any
     T_base_shape: Float[np.ndarray, "4 4"]
     carries: bool = False
-    placed: Any = field(init=False, repr=False)  # the pose in Coal's form, kept for many queries
+    placed: Any = field(init=False, repr=False)  # the pose as a Coal object, for many queries
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "placed", _placed(self.T_base_shape))
@@ -49,7 +49,7 @@ class Obstacle:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounted:
-    """A piece of a tool: a convex shape of Coal in the flange's frame."""
+    """A piece of a tool: a convex Coal shape in the flange's frame."""
 
     name: str
     shape: Any
@@ -63,7 +63,7 @@ class Mounted:
 
 @final
 class Robot:
-    """An opened robot; its calls do not change it."""
+    """An opened robot; calls do not change its state."""
 
     def __init__(self, name: str, model: Any, geometry: Any, home: Joints) -> None:
         self.name = name
@@ -74,7 +74,7 @@ class Robot:
         self._own_pairs()
         self._placed = (
             geometry.createData()
-        )  # created after the pairs, because it holds their results
+        )  # The data must be created after the pairs, because they hold the results of the pairs.
 
     def mount(self, pieces: Sequence[Mounted]) -> "Robot":
         """Return the same arm with a tool at its flange."""
@@ -110,7 +110,7 @@ class Robot:
         return self._data.oMf[self._flange].homogeneous.copy()
 
     def limbs(self) -> tuple[tuple[int, Any, Float[np.ndarray, "4 4"]], ...]:
-        """Return the limbs' shapes: index in `places`, shape of Coal, and `T_joint_shape`."""
+        """Return the shapes of the limbs: index in `places`, Coal shape, and `T_joint_shape`."""
         return tuple(
             (int(thing.parentJoint), thing.geometry, thing.placement.homogeneous.copy())
             for thing in self._geometry.geometryObjects
@@ -128,8 +128,8 @@ class Robot:
     ) -> list[Joints]:
         """Return sets of joint angles that bring the flange to a pose, the nearest to `near` first.
 
-        Newton's method starts at `near` and at random angles. The list is empty if no start arrives
-        within the joints' limits; then the pose is assumed to be out of reach.
+        Newton's method starts at `near` and at random angles. The list is empty if no start
+        converges within the joints' limits; then the pose is assumed to be out of reach.
         """
         rng = np.random.default_rng(seed)
         starts = [near, *rng.uniform(self.low, self.high, (_STARTS - 1, len(near)))]
@@ -141,7 +141,7 @@ class Robot:
         return sorted(solutions, key=lambda q: float(np.abs(q - near).max()))
 
     def follow(self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints) -> Joints | None:
-        """Return the joint angles for a pose that is close to the one at `near`, or None."""
+        """Return joint angles for a pose close to the pose at the joint angles `near`, or None."""
         return self._solve(T_base_flange, near, near)
 
     def _solve(
@@ -176,7 +176,7 @@ class Robot:
         return _first_met(pieces, obstacles)
 
     def _own_pairs(self) -> None:
-        """Select the pairs of links to check: no neighbours, and none that touch at home."""
+        """Select the pairs of links to check, without neighbours and pairs that touch at home."""
         import pinocchio as pin
 
         geometry = self._geometry
@@ -202,7 +202,7 @@ def tool_touches(
     T_base_flange: Float[np.ndarray, "4 4"],
     obstacles: Sequence[Obstacle],
 ) -> str | None:
-    """Return the name of an obstacle with which the tool alone collides; None if there is none."""
+    """Return the name of an obstacle with which the tool alone collides, or None."""
     placed = ((piece.shape, T_base_flange @ piece.T_flange_shape, False) for piece in pieces)
     return _first_met(placed, obstacles)
 
@@ -210,7 +210,7 @@ def tool_touches(
 def _first_met(
     pieces: Iterable[tuple[Any, Float[np.ndarray, "4 4"], bool]], obstacles: Sequence[Obstacle]
 ) -> str | None:
-    """Return the first obstacle that a piece (shape, pose, whether it is the base) hits."""
+    """Return the name of the first obstacle that a piece (shape, pose, is base) hits, or None."""
     import coal
 
     request, result = coal.CollisionRequest(), coal.CollisionResult()
@@ -232,7 +232,7 @@ def _placed(T: Float[np.ndarray, "4 4"]) -> Any:
 
 
 def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:
-    """Return the angles changed by whole turns: close to `near`, and within limits if possible."""
+    """Return the angles plus whole turns: close to `near`, and within limits if possible."""
     turn = 2 * np.pi
     q = q + turn * np.round((near - q) / turn)
     return q + turn * ((q < low).astype(float) - (q > high))
@@ -242,8 +242,8 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
     """Return a built-in arm by its name, or read a robot from a URDF file in a folder.
 
     Raises:
-        ConfigError: there is no such robot, the file cannot be read, a joint has no end or no speed
-            limit, there is no link `flange`, or `home` does not fit the joints.
+        ConfigError: there is no such robot, the file cannot be read, a joint has no limits or no
+            speed limit, there is no link `flange`, or `home` does not fit the joints.
     """
     import pinocchio as pin
 
@@ -282,7 +282,7 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
 
 
 def _check_limits(path: Path) -> None:
-    """Check the joints' limits for attributes that Pinocchio needs but does not name in its errors.
+    """Check that the joints' limits have the attributes that Pinocchio's errors do not name.
 
     Raises:
         ConfigError: a revolute or prismatic joint has no limit, or its limit lacks speed or effort.

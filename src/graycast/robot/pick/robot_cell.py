@@ -1,4 +1,4 @@
-"""The resolved cell of a robot, which all bins share and which workers receive."""
+"""The resolved cell of a robot, which all bins share and which worker processes receive."""
 
 import hashlib
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from .pick_sections import PickConfig
 class PickCell:
     """A robot's cell with its files read: the cell for drops and scans, and the configuration.
 
-    `folder` is the folder to which paths in the configuration are relative.
+    `folder` is the folder that paths in the configuration are relative to.
     """
 
     cell: Cell
@@ -43,8 +43,8 @@ class PickCell:
 
     @property
     def file_digests(self) -> dict[str, str]:
-        """SHA-256 of every file in the configuration, by which changed files are detected."""
-        named = {}  # These paths are as in the configuration, so that the folder can be moved.
+        """SHA-256 of every file in the configuration, to detect files that changed."""
+        named = {}  # The keys are the configured paths, so that the folder can be moved.
         if self.config.robot.arm not in ARMS:
             named[self.config.robot.arm] = self.folder / self.config.robot.arm
         if self.detector is not None:
@@ -53,13 +53,13 @@ class PickCell:
         own = {
             name: hashlib.sha256(path.read_bytes()).hexdigest()
             for name, path in named.items()
-            if path.is_file()  # Opening a missing file later names that file.
+            if path.is_file()  # A missing file causes an error later, which names it.
         }
         return self.cell.file_digests | own
 
     @property
     def detector(self) -> Path | None:
-        """The folder of a trained detector; None if the detector is truth or none."""
+        """Path of a trained detector; None if the detector is truth or none."""
         named = self.config.picking.detector
         return None if named in ("truth", "none") else self.folder / named
 

@@ -1,4 +1,4 @@
-"""Triangle meshes of Coal's shapes, for robots, tools and obstacles."""
+"""Triangle meshes of Coal shapes, for robots, tools and obstacles."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -10,14 +10,14 @@ from ...base.errors import ConfigError
 from ...base.frames import transform_points
 from ...world.parts import Mesh
 
-ROUND = 24  # The mesh of a round shape has this many sides.
+ROUND = 24  # number of sides in the mesh of a round shape
 
 
 def shape_mesh(shape: Any) -> Mesh:
     """Return the surface of a robot's or tool's shape, in the shape's frame.
 
     Raises:
-        ConfigError: the kind of the shape is not supported; no URDF file makes it.
+        ConfigError: the kind of the shape is not supported; URDF files do not produce it.
     """
     import coal
     from trimesh import creation
@@ -43,7 +43,7 @@ def shape_mesh(shape: Any) -> Mesh:
 
 
 def joined(pieces: Iterable[tuple[Mesh, Float[np.ndarray, "4 4"]]]) -> Mesh:
-    """Join meshes at their poses to one mesh."""
+    """Join meshes at their poses into one mesh."""
     vertices, faces, count = [], [], 0
     for mesh, T in pieces:
         vertices.append(transform_points(T, mesh.vertices_m.astype(np.float64)))

@@ -62,7 +62,7 @@ class SuctionTool(Settings):
 
     @property
     def soft(self) -> tuple[Mesh, ...]:
-        """Mesh of the cup from the lip to its holder, around the tip's z axis."""
+        """Mesh of the cup from the lip to its holder, in the tip's frame."""
         turn = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
         ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(ROUND)])
         top_m = np.array([0.0, 0.0, self.cup.height_m + self.stroke_m])
@@ -94,7 +94,7 @@ class SuctionTool(Settings):
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
     ) -> PartGrip | NoGrip:
-        """Return the result of laying the cup on the part that is under its middle."""
+        """Return the contact of the cup with the part that is under its centre."""
         height_m, number = self._under(T_world_tool, parts, T_world_part, part_index)
         middle = len(height_m) // 2
         part, at_m = int(number[middle, middle]), float(height_m[middle, middle])
@@ -106,7 +106,7 @@ class SuctionTool(Settings):
                 detail=f"a part is {1e3 * at_m:.0f} mm higher than the target of the cup",
                 part=part,
             )
-        # The middle of the lip rests on the surface; across an edge to another part, air leaks in.
+        # The centre of the lip rests on the surface. Air leaks in across an edge to another part.
         patch = Patch(height_m=np.where(number == part, height_m - at_m, np.nan), step_m=STEP_M)
         lies = seal(self.cup, patch)
         if not lies.holds:
@@ -131,7 +131,7 @@ class SuctionTool(Settings):
         T_world_part: Float[np.ndarray, "n 4 4"],
         part_index: Int[np.ndarray, " n"],
     ) -> tuple[Float[np.ndarray, "k k"], Int[np.ndarray, "k k"]]:
-        """Return the heights under the cup, and the part's number at each node; -1 for no part."""
+        """Return the heights under the cup, and the part's index at each node; -1 for no part."""
         radius_m = self.cup.radius_m
         size = 2 * (int(np.ceil(radius_m / STEP_M)) + 1) + 1
         height, number = np.full((size, size), np.nan), np.full((size, size), -1)

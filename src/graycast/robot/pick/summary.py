@@ -1,4 +1,4 @@
-"""Summaries of picks: rates with intervals, outcomes, times, paired comparisons, and plots."""
+"""Summarize picks: rates with intervals, outcomes, times, paired comparisons, and plots."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -29,11 +29,11 @@ class PickSummary:
         picked: number of these attempts that took the part out of the bin.
         rate: `picked` divided by `grips`, with its 95 % interval (Wilson).
         outcomes: number of attempts for each outcome, most frequent first.
-        missing: number of attempts that found nothing, for each detail of the outcome.
+        missing: number of attempts that found nothing, for each detail of this outcome.
         cleared: number of bins that were empty at the end.
         filled, taken, left, spilled: numbers of parts, summed over all bins.
         seconds: simulated times of all attempts: `scan`, `motion`.
-        work_s: this machine's median computing time for an attempt, by stage.
+        work_s: median computing time of an attempt on this machine, by stage.
     """
 
     bins: int
@@ -52,7 +52,7 @@ class PickSummary:
 
     @property
     def thinking_s(self) -> float:
-        """Sum of this machine's median computing times of detection, grips and plan per attempt."""
+        """Sum of the median computing times of detection, grips and planning for an attempt."""
         return sum(self.work_s.get(stage, 0.0) for stage in ("detect", "grips", "plan"))
 
     @property
@@ -62,7 +62,7 @@ class PickSummary:
 
     @property
     def picks_per_hour_here(self) -> float:
-        """Picks per hour including this machine's median computing time for an attempt."""
+        """Picks per hour, including the median computing time of an attempt on this machine."""
         return self._per_hour(self.thinking_s)
 
     def _per_hour(self, computing_s: float) -> float:
@@ -111,7 +111,7 @@ class Paired:
     """Comparison of two runs over the same bins; attempts are paired in their order.
 
     The first attempts in a bin have the same heap. Later heaps are similar, but they depend on what
-    each run has taken. `p` is McNemar's; the pairs are attempts in which the arms moved.
+    each run has taken. A pair is two attempts in which the arm moved; `p` is McNemar's p-value.
     """
 
     pairs: int
@@ -125,7 +125,7 @@ class Paired:
 
 
 def pair(first: Sequence[StoredEpisode], second: Sequence[StoredEpisode]) -> Paired:
-    """Compare two runs; raise GraycastError if no bin has grips of both runs."""
+    """Compare two runs; raise GraycastError if no bin has grips in both runs."""
     others = {episode.bin_id: episode for episode in second}
     counts: Counter[tuple[bool, bool]] = Counter()
     for episode in first:
@@ -152,7 +152,7 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
     """Return a Markdown table of runs over the same bins; each run is paired with the first.
 
     Raises:
-        GraycastError: a run has no bin, or no bin in common with the first run.
+        GraycastError: a run has no finished bin, or no bin in common with the first run.
     """
     lines = [
         "| run | grips | success | 95 % | parts taken | cleared | picks an hour | with computing "
@@ -192,7 +192,7 @@ COLOR = {
 
 
 def plot_runs(runs: Mapping[str, PickSummary], path: Path) -> None:
-    """Plot the success rates, failures and remaining parts of runs, one row each, into a PNG file.
+    """Plot success rates, failures and remaining parts of runs to a PNG file, one row per run.
 
     Raises:
         GraycastError: the file cannot be written.

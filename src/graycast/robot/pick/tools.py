@@ -30,14 +30,14 @@ AnyTool = Annotated[
 
 @runtime_checkable
 class Tool(Protocol):
-    """A tool at the flange; other modules use tools only by this protocol.
+    """A tool at the flange; other modules use tools only through this protocol.
 
     Attributes:
-        lost: outcome of an attempt in which the tool loses the part on the way.
+        lost: outcome of an attempt in which the tool loses the part while carrying it.
         is_round: whether the tool may be rotated about its axis by any angle; otherwise, only by
             half a turn.
-        reaches_round: whether the tool encloses the part from the sides: then its shape depends on
-            the grip, and measured points on the part are no obstacles.
+        reaches_round: whether the tool encloses the part from the sides. If so, its shape depends
+            on the grip, and measured points on the part are no obstacles.
     """
 
     lost: ClassVar[Outcome]
@@ -59,7 +59,7 @@ class Tool(Protocol):
 
     @property
     def ground_m(self) -> float | None:
-        """The radius around the tip in which the measured surface must agree with the part.
+        """Radius around the tip within which the measured surface must agree with the part.
 
         It is None for a tool that does not touch this surface.
         """
@@ -67,7 +67,7 @@ class Tool(Protocol):
 
     @property
     def soft(self) -> tuple[Mesh, ...]:
-        """Flexible shapes in the tip's frame, which are shown in pictures and never collide."""
+        """Flexible shapes in the tip's frame, which appear in pictures and never collide."""
         ...
 
     def pieces(
@@ -83,7 +83,7 @@ class Tool(Protocol):
 
     @property
     def on_mesh(self) -> Callable[..., list[Grip]]:
-        """The search for grips on a mesh, such as `suction_places` without its cup."""
+        """The search for grips on a mesh, such as `suction_places` without its argument `cup`."""
         ...
 
     def meet(
@@ -94,7 +94,7 @@ class Tool(Protocol):
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
     ) -> PartGrip | NoGrip:
-        """Return the contact of the tool with the true parts, if no rigid shape collides.
+        """Return the contact of the tool with the true parts; its rigid shapes must not collide.
 
         Args:
             T_world_tool: planned pose of the tip.
@@ -105,7 +105,7 @@ class Tool(Protocol):
 
 
 def T_flange_tip(tool: Tool) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of the tip, straight below the flange; their z axes are opposite."""
+    """Return the pose of the tip, which is straight below the flange; the z axes are opposite."""
     return rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, tool.length_m]))
 
 

@@ -1,7 +1,7 @@
-"""The true contact of a tool at its target with the part, its neighbours, or nothing.
+"""The true contact of a tool at its target: with the part, with its neighbours, or with nothing.
 
 Only this module and `Tool.meet` use the true poses of the parts. If a rigid piece of a tool
-penetrates a part by more than `PUSHED_M`, this is a collision that the scanner did not show.
+penetrates a part by more than `PUSHED_M`, this is a collision that the scan did not predict.
 """
 
 from collections.abc import Sequence
@@ -19,12 +19,12 @@ from .obstacles import hull
 from .outcome import Outcome
 from .tools import T_flange_tip, Tool
 
-PUSHED_M = 2e-3  # A tool pushes a part aside if it penetrates it by less than this.
+PUSHED_M = 2e-3  # If a tool penetrates a part by less than this, it pushes the part aside.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactPart:
-    """A kind of part for contact checks: the part with its surface, and its hulls in Coal."""
+    """A kind of part for contact checks: the part with its mesh, and its convex hulls in Coal."""
 
     part: Part
     hulls: tuple[Any, ...]

@@ -12,19 +12,19 @@ from .motion import Trajectory, drive, plan, straight
 from .outcome import Outcome
 from .robot import Joints, Mounted, Obstacle, Robot
 
-TURNS = 4  # A round cup holds equally well at each of these turns about its axis.
-OFF_M = 0.01  # The load reaches the tool within this distance: bellows stretch by less.
+TURNS = 4  # number of rotations about its axis that are tried for a round cup
+OFF_M = 0.01  # The tool carries the full load after this distance, because bellows stretch less.
 Lines = dict[str, Float[np.ndarray, "k joints"]]  # names of straight motions -> joint angles
-ELBOWS = 3  # For each grip, at most this many configurations of the arm are tried.
+ELBOWS = 3  # largest number of the arm's configurations that are tried for a grip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ways:
     """The five parts of a path: `to` the approach, `down` to the grip, `off`, `up` and `away`.
 
-    `off` is short and slow: if a fast tool takes over the part's weight, it pulls the part with a
-    jerk. A leaning tool becomes upright at the end of `up`, or during `up` if the arm cannot reach
-    that height while the tool leans: a heavy part would break the seal of a leaning cup.
+    `off` is short and slow, because a fast tool would jerk the part when it takes over the weight.
+    A leaning tool becomes upright at the end of `up`, or during `up` if the arm cannot reach that
+    height with a leaning tool, because a heavy part would break the seal of a leaning cup.
     """
 
     to: Trajectory
@@ -73,7 +73,7 @@ class Blocked:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """The fixed obstacles and settings for planning; flange poses are in the robot's base frame."""
+    """The fixed obstacles and settings for planning; `T_base_world` maps to the robot's base."""
 
     T_base_world: Float[np.ndarray, "4 4"]
     T_flange_tip: Float[np.ndarray, "4 4"]
@@ -84,7 +84,7 @@ class Surroundings:
     lift_off_m_s: float
 
     def flange(self, T_world_tip: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """Return the `T_base_flange` that brings the tip to a pose."""
+        """Return the flange pose `T_base_flange` that brings the tip to a pose in the world."""
         return self.T_base_world @ T_world_tip @ inverse(self.T_flange_tip)
 
 
@@ -94,8 +94,8 @@ class WaySearch:
 
     Attributes:
         robot: the robot with its tool.
-        obstacles: the fixed obstacles and the measured heap; the paths down to the grip and up from
-            it avoid these, too.
+        obstacles: the fixed obstacles and the measured heap, which also limit the straight paths
+            down to the grip and up from it.
         up_m: height by which the tip is raised before the part is carried away.
         load: extent of the carried part.
         seed: seed for the inverse kinematics and the planner.
@@ -111,9 +111,9 @@ class WaySearch:
     def ways(
         self, q: Joints, T_world_tip: Float[np.ndarray, "4 4"], *, round_tool: bool
     ) -> Ways | Blocked:
-        """Return paths from joint angles to a grip and away with the part, or why none exist.
+        """Return paths from joint angles to a grip and away with the part, or why there are none.
 
-        For a round tool, any rotation about its axis is possible; for others, only half a turn.
+        A round tool may have several rotations about its axis; any other tool may have two.
         """
         turns = TURNS if round_tool else 2
         result: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
@@ -188,7 +188,7 @@ class WaySearch:
         )
 
     def _straights(self, q: Joints, ends: Mapping[str, Float[np.ndarray, "4 4"]]) -> Lines:
-        """Return consecutive straight motions of the tip, up to the first that is not possible."""
+        """Return consecutive straight motions of the tip, up to the first that is impossible."""
         lines: Lines = {}
         for name, end in ends.items():
             line = straight(self.robot, q, self.here.flange(end), self.obstacles)
@@ -200,7 +200,7 @@ class WaySearch:
     def _why(
         self, q: Joints, lines: Lines, ends: Mapping[str, Float[np.ndarray, "4 4"]]
     ) -> Blocked:
-        """Return why the next straight motion fails: by a collision, or by the arm's limits."""
+        """Return why the next straight motion fails: a collision, or the arm's limits."""
         name, end = list(ends.items())[len(lines)]
         q = [q, *(line[-1] for line in lines.values())][-1]
         T_base_flange = self.here.flange(end)
@@ -213,20 +213,20 @@ class WaySearch:
 
 
 def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """Return the pose with the tool's axis vertical, by the smallest rotation."""
+    """Return the pose after the smallest rotation that makes the tool's axis vertical."""
     x = np.cross(T[:3, 1], [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     return rigid(np.stack([x, np.cross([0.0, 0.0, 1.0], x), [0.0, 0.0, 1.0]], axis=1), T[:3, 3])
 
 
 def _slowly(way: Trajectory, least_s: float) -> Trajectory:
-    """Return the same path in at least the given number of seconds."""
+    """Return the same path with a duration of at least the given number of seconds."""
     stretch = max(1.0, least_s / max(way.seconds, 1e-9))
     return Trajectory(time_s=way.time_s * stretch, q=way.q.copy())
 
 
 def _gently(robot: Robot, here: Surroundings, way: Trajectory, load: Load) -> Trajectory:
-    """Return the same path, slow enough that the part is not accelerated by over `CARRIED_M_S2`.
+    """Return the same path, slowed down so that no acceleration exceeds `CARRIED_M_S2`.
 
     The limit applies at the tip and at the lowest point of the part.
     """

@@ -1,4 +1,4 @@
-"""Comparison of a pose with the measured depth, by pixels that agree or contradict."""
+"""Compare a pose with the measured depth, by pixels that agree or contradict."""
 
 import numpy as np
 
@@ -7,28 +7,28 @@ from .drawing import draw
 
 VISIBLE, TOUCHING, HIDDEN, CONTRADICTED, UNKNOWN, MISSED, MISSED_UNKNOWN = range(7)
 KINDS = 7
-# Meaning of each count; all but the last two count pixels that the part at its pose would cover.
-# VISIBLE: measured where the part's surface would be.
+# Kinds of pixels. All but the last two count pixels that the part at its pose would cover.
+# VISIBLE: the measured point is on the part's surface.
 # TOUCHING: as VISIBLE, but outside the detection's outline.
-# HIDDEN: measured in front of it.
-# CONTRADICTED: measured behind it: the ray went through the part.
-# UNKNOWN: nothing measured.
-# MISSED: measured within the outline, where the part at its pose would not be.
-# MISSED_UNKNOWN: as MISSED, but nothing measured.
+# HIDDEN: the measured point is in front of the part.
+# CONTRADICTED: the measured point is behind the part, so the ray went through the part.
+# UNKNOWN: nothing is measured.
+# MISSED: a point is measured within the outline, where the part at its pose would not be.
+# MISSED_UNKNOWN: as MISSED, but nothing is measured.
 
 
-# In a box, a visible pixel is worth 1, and a contradicted one -1. The other numbers were chosen on
-# brackets in heaps. The likely mistakes are a neighbour, and a part sunk flush into the floor,
-# where the surface continues around the part and the true part hides it.
-OUTSIDE = 0.3  # A pixel that agrees, but outside the box, is worth this.
+# In a box, a visible pixel counts +1, and a contradicted pixel -1. The other weights were chosen
+# on brackets in heaps. Likely mistakes are the pose of a neighbour, and a pose sunk into the floor.
+# For the latter, the surface continues around the part, and the true part hides the posed part.
+OUTSIDE = 0.3  # weight of a pixel that agrees, but is outside the box
 HIDING = 1.0  # cost of a hidden pixel
 GOING_ON = 3.0  # cost of a pixel next to the part where the part's surface continues
-OFF_CENTRE = 0.3  # cost of a part's middle at the box's border, as a share of the box's pixels
+OFF_CENTRE = 0.3  # cost of a part centred on the box's border, as a share of the box's pixels
 
 
 @kernel(nogil=True, error_model="numpy")
 def count(depth, z, inside, tolerance_m):
-    """Return the numbers of pixels by kind, and the first and last column and row not hidden."""
+    """Return the pixels of each kind, and left, top, right, bottom of those that are not HIDDEN."""
     number = np.zeros(KINDS, np.int64)
     h, w = z.shape
     edge = np.array([w, h, -1, -1])
@@ -92,7 +92,7 @@ def loose_score(number, edge, box, going_on):
 
 @kernel(nogil=True, error_model="numpy")
 def going_on(depth, z, tolerance_m):
-    """Return the number of pixels beside the part at which the measured surface continues it."""
+    """Return the number of pixels next to the part at which the measured surface continues it."""
     number = 0
     h, w = z.shape
     for i in range(2, h - 2):

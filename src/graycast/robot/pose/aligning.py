@@ -8,18 +8,18 @@ from ...base.kernels import kernel
 from .closest import add_row, fill_row, solved, turn_by
 from .drawing import draw
 
-REACH_PX = 4.0  # The search for an outline extends this far from its predicted position.
+REACH_PX = 4.0  # The search for a measured outline extends this far from the predicted outline.
 LINE_STEP_PX = 0.5
 
 
 @kernel(nogil=True, error_model="numpy")
 def align(T, part, window, gates_m, edge_m, canvas):
-    """Improve a pose in place by Gauss-Newton steps, one for each gate.
+    """Improve a pose in place by Gauss-Newton steps, one for each gate (largest distance in z).
 
-    Each pixel's measured point is fitted to the plane of the drawn face, and the measured outline
-    to the drawn outline along its normal. A pixel of the outline has the same weight as a pixel of
-    the surface. Source of the outline's equations: C. Harris, C. Stennett, "RAPID: a video rate
-    object tracker", 1990.
+    The steps fit each measured point to the plane of the rendered face at its pixel, and the
+    measured outline to the rendered outline along the outline's normal. A pixel of the outline has
+    the same weight as a pixel of the surface. Source of the outline's equations: C. Harris, C.
+    Stennett, "RAPID: a video rate object tracker", 1990.
     """
     for gate in gates_m:
         draw(T, part, window, canvas)
@@ -99,7 +99,7 @@ def _on_outline(depth, i, j):
 
 @kernel(nogil=True, error_model="numpy")
 def _outwards(depth, i, j):
-    """Return the outline's outward normal in the picture, from a window of 5 x 5 pixels."""
+    """Return the outline's outward normal in the image, from a window of 5 x 5 pixels."""
     x, y = 0.0, 0.0
     for di in range(-2, 3):
         for dj in range(-2, 3):
@@ -114,7 +114,7 @@ def _outwards(depth, i, j):
 
 @kernel(nogil=True, error_model="numpy")
 def _end(depth, i, j, nx, ny):
-    """Return the position along the normal at which the drawn part ends."""
+    """Return the position along the normal at which the rendered part ends, in pixels."""
     s = 0.0
     while s < 3:
         r, c = round(i + s * ny), round(j + s * nx)
@@ -128,9 +128,9 @@ def _end(depth, i, j, nx, ny):
 
 @kernel(nogil=True, error_model="numpy")
 def _measured_end(window, i, j, nx, ny, zc, edge_m, near):
-    """Return the end of the measured part along a normal that is nearest to `near`; NaN if none.
+    """Return the measured part's end along a normal, the one nearest to `near`; NaN if none.
 
-    The edge of a nearer surface in front of the part does not count.
+    Edges of surfaces in front of the part do not count.
     """
     z, inside, tight = window.z, window.inside, window.tight
     best, before = np.nan, -1

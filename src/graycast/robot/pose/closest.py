@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 
 from ...base.kernels import kernel
 
-CELLS = 60  # The grid has this many cells along the diameter.
-BEYOND = 0.2  # The grid reaches beyond the part's box by this share of the diameter.
+CELLS = 60  # number of grid cells along the diameter
+BEYOND = 0.2  # margin of the grid around the part's box, as a share of the diameter
 ALIKE = 0.5  # least cosine between the normals of corresponding points
-DAMPING = 1e-3  # This share of the mean curvature fixes undetermined directions.
+DAMPING = 1e-3  # damping of undetermined directions, as a share of the mean curvature
 
 
 class OrientedPoints(NamedTuple):
@@ -23,13 +23,13 @@ class OrientedPoints(NamedTuple):
 
 
 class Closest(NamedTuple):
-    """Lookup of the nearest surface point, for each cell of a grid around a part.
+    """A grid of cells around a part, each with the index of its nearest surface point.
 
     Attributes:
         points: points of the surface, in the part's frame.
-        low_m: the middle of the first cell.
+        low_m: the centre of the first cell.
         cell_m: the width of a cell.
-        nearest: index in `points` of the point nearest to the cell's middle.
+        nearest: index in `points` of the point nearest to the cell's centre.
     """
 
     points: OrientedPoints
@@ -39,7 +39,7 @@ class Closest(NamedTuple):
 
 
 def closest(points: OrientedPoints, diameter_m: float) -> Closest:
-    """Return the lookup grid for a surface that is given by dense points."""
+    """Return the lookup grid for a surface that is sampled by dense points."""
     cell_m = diameter_m / CELLS
     low = points.point.min(axis=0) - BEYOND * diameter_m
     size = np.ceil((points.point.max(axis=0) + BEYOND * diameter_m - low) / cell_m).astype(int) + 1
@@ -51,9 +51,9 @@ def closest(points: OrientedPoints, diameter_m: float) -> Closest:
 
 @kernel(nogil=True, error_model="numpy")
 def settle(T, scene, surface, gates_m, rounds):
-    """Move poses in place by ICP (point to plane); return the share of matched points of each.
+    """Move poses in place by point-to-plane ICP; return each pose's share of matched points.
 
-    The gate, which is the largest distance of a matched point, becomes narrower in each round.
+    Matched points are within the gate; `rounds` steps are done with each gate, widest first.
     Source: Y. Chen, G. Medioni, "Object modelling by registration of multiple range images", 1992.
     """
     shares = np.zeros(len(T))
@@ -68,7 +68,7 @@ def settle(T, scene, surface, gates_m, rounds):
 
 @kernel(nogil=True, error_model="numpy")
 def _round(T, scene, surface, gate):
-    """Do one ICP step; return the share of points with a match within the gate, or 0 if too few."""
+    """Do one ICP step; return the share of points matched within the gate, or 0 if too few."""
     point, normal = scene.point, scene.normal
     low, cell, nearest = surface.low_m, surface.cell_m, surface.nearest
     A, b = np.zeros((6, 6)), np.zeros(6)
@@ -94,7 +94,7 @@ def _round(T, scene, surface, gate):
         if away2 > gate * gate:
             continue
         off = m[0] * (p[0] - q[0]) + m[1] * (p[1] - q[1]) + m[2] * (p[2] - q[2])
-        weight = (1 - away2 / (gate * gate)) ** 2  # Tukey's weight
+        weight = (1 - away2 / (gate * gate)) ** 2  # Tukey's biweight
         fill_row(row, p, m[0], m[1], m[2])
         add_row(A, b, row, off, weight)
         count += 1
@@ -107,7 +107,7 @@ def _round(T, scene, surface, gate):
 
 @kernel(nogil=True, error_model="numpy")
 def fill_row(row, p, mx, my, mz):
-    """Fill a row with the derivative, by turn and shift, of a point's coordinate along m."""
+    """Fill a row with the derivative of p along m with respect to a small rotation and shift."""
     row[0], row[1], row[2] = p[1] * mz - p[2] * my, p[2] * mx - p[0] * mz, p[0] * my - p[1] * mx
     row[3], row[4], row[5] = mx, my, mz
 
@@ -122,7 +122,7 @@ def add_row(A, b, row, off, weight):
 
 @kernel(nogil=True, error_model="numpy")
 def solved(A, b):
-    """Return the damped solution of a system with a filled lower half; lengths are scaled."""
+    """Return the damped solution of A x = b with scaled unknowns; A has only its lower half."""
     scale = np.empty(6)
     turn = (A[0, 0] + A[1, 1] + A[2, 2]) / 3 + 1e-30
     shift = (A[3, 3] + A[4, 4] + A[5, 5]) / 3 + 1e-30
@@ -140,7 +140,7 @@ def solved(A, b):
 
 @kernel(nogil=True, error_model="numpy")
 def turn_by(T, step):
-    """Multiply T in place by a turn (step[:3]) and shift (step[3:]) in the part's frame."""
+    """Multiply T in place by a rotation (step[:3]) and shift (step[3:]) in the part's frame."""
     x, y, z = step[0], step[1], step[2]
     angle = math.sqrt(x * x + y * y + z * z)
     R = np.eye(3)

@@ -1,4 +1,4 @@
-"""Fast drawing of a closed mesh in a window of a picture: depth and face at each pixel."""
+"""Fast rendering of a closed mesh in a window of an image: depth and face at each pixel."""
 
 import math
 from typing import NamedTuple
@@ -19,7 +19,7 @@ class Facets(NamedTuple):
 
 
 class Window(NamedTuple):
-    """The data of a detection's `Crop` for compiled code; `lens` has the camera's numbers."""
+    """The data of a detection's `Crop` for compiled code; `lens` has the camera's parameters."""
 
     lens: Float[np.ndarray, "9"]
     ray: Float[np.ndarray, "h w 2"]
@@ -38,7 +38,7 @@ class Canvas(NamedTuple):
 
 
 def lens(camera: Optics) -> np.ndarray:
-    """Return a camera's numbers for compiled code: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    """Return a camera's parameters for compiled code: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     focal = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]
     return np.array([*focal, *camera.distortion], dtype=np.float64)
 
@@ -50,10 +50,10 @@ def _cross(a, b):
 
 @kernel(nogil=True, error_model="numpy")
 def draw(T, part, window, canvas):
-    """Fill a canvas with the depth and face that each pixel's ray meets.
+    """Fill a canvas with the depth and index of the face that each pixel's ray meets.
 
-    Faces that point away are skipped, because the mesh is closed, and so are faces that reach
-    behind the lens. The equation is that of `graycast.rig.meshdepth`, in one pass.
+    Faces that point away are skipped, because the mesh is closed. Faces that reach behind the lens
+    are skipped as well. The equation is the same as in `graycast.rig.meshdepth`, in one pass.
     """
     lens, ray, vertex, faces = window.lens, window.ray, part.vertex, part.face
     z, face = canvas.depth, canvas.face
@@ -75,7 +75,7 @@ def draw(T, part, window, canvas):
         pixel[i, 1] = v * lens[1] + lens[3] - window.top_px
     bent = 0.01
     if lens[4] != 0 or lens[5] != 0 or lens[6] != 0 or lens[7] != 0 or lens[8] != 0:
-        bent = 1.0  # Distortion bends straight edges slightly.
+        bent = 1.0  # Distortion bends straight edges slightly, so the search box gets a margin.
     for f in range(len(faces)):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         a, b, c = cam[i], cam[j], cam[k]
@@ -85,7 +85,7 @@ def draw(T, part, window, canvas):
         e0x, e0y, e0z = _cross(b, c)
         volume = a[0] * e0x + a[1] * e0y + a[2] * e0z
         if volume >= 0:
-            continue  # The triangle faces away.
+            continue  # The triangle faces away from the camera.
         e1x, e1y, e1z = _cross(c, a)
         e2x, e2y, e2z = _cross(a, b)
         low_x = min(pixel[i, 0], pixel[j, 0], pixel[k, 0]) - bent

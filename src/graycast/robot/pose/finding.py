@@ -18,26 +18,26 @@ from .model import PoseModel
 from .pairs import votes
 from .trying import PoseTrial, Trials
 
-WINDOW = 0.035  # A window of normals has this half width, as a share of the diameter.
+WINDOW = 0.035  # half width of the window for normals, as a share of the diameter
 REACH = 0.75  # The search uses depth up to this share of the diameter around a detection.
 LEAST_POINTS = 30  # A detection must have this many points with normals.
-SCENE_POINTS = 220  # At least this many points of a detection form pairs, at most 4 times as many.
-REFERENCES = 90  # This many of these points are references, which vote for poses.
-CORE = 0.6  # Reference points come from this inner share of a box, about its middle.
-PEAKS = 6  # Each reference point gives this many poses.
+SCENE_POINTS = 220  # Between 1 and 4 times this many points of a detection form pairs.
+REFERENCES = 90  # number of these points that are references, which vote for poses
+CORE = 0.6  # In a box, references come from this central share of its width and height.
+PEAKS = 6  # number of poses for which each reference point votes
 ALIKE = 0.15  # Poses with key points within this share of the diameter count as one.
 GUESSES = 200  # number of poses that ICP fits to the depth and that are rendered
 ALIGNED = 16  # number of poses that are aligned to outlines
-GATES = (0.12, 0.06, 0.03)  # Each gate of ICP is a share of the diameter, and has `ROUNDS` rounds.
+GATES = (0.12, 0.06, 0.03)  # gates of ICP as shares of the diameter, each used in `ROUNDS` rounds
 ROUNDS = 5
-SURE = 0.9  # After a pose with a higher score, no other orientation is tried.
-TRIES = 3  # The other orientations of the best pose are tried at most this many times.
+SURE = 0.9  # Above this score, no further round of other orientations is tried.
+TRIES = 3  # largest number of times that other orientations of the best pose are tried
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseMatch:
-    """A part's pose and its evidence: numbers of pixels on the drawn part, except `missed`.
+    """A part's pose and its evidence: numbers of pixels on the rendered part, except `missed`.
 
     Attributes:
         T_cam_part: the pose; None if there was too little depth for a search.
@@ -77,8 +77,8 @@ def find_pose(
 ) -> PoseMatch:
     """Find the pose of a part whose visible outline is known.
 
-    If the symmetry given to `pose_model` makes several poses equivalent, the result is the one
-    nearest to `near`, or the standard one without it (`world.parts.symmetry.nearest_member`).
+    If the symmetry given to `pose_model` makes several poses equivalent, return the pose nearest to
+    `near`, or without `near` the standard pose (`world.parts.symmetry.nearest_member`).
 
     Args:
         depth_m: z [m], NaN where the scanner measured nothing.
@@ -113,10 +113,10 @@ def find_poses(
     *,
     threads: int = 1,
 ) -> list[PoseMatch]:
-    """Find the poses of several instances of a part in one picture independently of each other.
+    """Find the poses of several instances of a part in one image, independently of each other.
 
-    The slow steps are compiled and run in parallel threads; the result does not depend on their
-    number.
+    The slow steps are compiled and run in parallel threads. The result does not depend on the
+    number of threads.
     """
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(lambda mask: find_pose(model, depth_m, camera, mask), masks))
@@ -157,7 +157,7 @@ def _match(
 
 
 def _scene_points(patch: Crop) -> OrientedPoints:
-    """Return measured points and normals of the detection, spread evenly over its pixels."""
+    """Return measured points and normals of the detection, evenly distributed over its pixels."""
     usable = patch.inside & np.isfinite(patch.smooth)
     i, j = np.nonzero(usable)
     index = np.linspace(0, len(i) - 1, min(SCENE_POINTS, len(i))).astype(int)
@@ -171,7 +171,7 @@ def _scene_points(patch: Crop) -> OrientedPoints:
 
 
 def _guesses(model: PoseModel, patch: Crop, scene: OrientedPoints) -> np.ndarray:
-    """Return poses by votes: the best one of each group of similar poses, best group first."""
+    """Return poses by votes: the best pose of each group of similar poses, best group first."""
     point, references = scene.point, np.arange(len(scene.point))
     if not patch.tight:
         i, j = np.nonzero(patch.inside)
@@ -208,7 +208,7 @@ def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> PoseTrial:
-    """Return the best pose: score and align the guesses, then try turns of the best one."""
+    """Return the best pose: score and align the guesses, then try rotations of the best one."""
     trials = Trials(model, patch)
     first = np.array([trials.judge(T).worth for T in guesses])
     both = (
@@ -216,7 +216,7 @@ def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) ->
         for k in np.argsort(-first, kind="stable")[:ALIGNED]
         for T in (trials.align(guesses[k]), guesses[k])
     )
-    best = max(both, key=lambda trial: trial.worth)  # Of equal trials, max takes the first.
+    best = max(both, key=lambda trial: trial.worth)  # If scores are equal, max takes the first.
     for _ in range(TRIES):
         before = best
         for turn in model.turns[1:]:

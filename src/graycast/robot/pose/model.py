@@ -1,4 +1,4 @@
-"""The model of a part, which is prepared once for all pose searches."""
+"""The model of a part for pose searches, which is prepared only once."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ from .closest import Closest, OrientedPoints, closest
 from .drawing import Facets
 from .pairs import PairTable, pair_table
 
-STEP = 0.05  # This share of the diameter is the spacing of pairs' points and a bin of distance.
+STEP = 0.05  # spacing of the points of pairs, and bin width of distances, as shares of the diameter
 MOST_POINTS = 700  # The number of pairs grows with the square of the number of points.
 DENSE_STEP = 0.008  # spacing of the points for ICP, as a share of the diameter
 MOST_DENSE = 40_000
@@ -27,11 +27,11 @@ class PoseModel:
     """The data of a part for the pose search, in the part's frame.
 
     Attributes:
-        diameter_m: diameter of the ball around the box's middle that holds the vertices.
+        diameter_m: diameter of the ball around the box's centre that contains the vertices.
         points: sparse points, which form the pairs.
         pairs: table of the features of all pairs of `points`.
         surface: lookup of the nearest surface point for any point near the part.
-        key_m: points that each motion moves, except a motion of the symmetry.
+        key_m: points that every rigid motion moves, except a motion of the symmetry.
         alike: the discrete motions that leave the part unchanged, the identity first.
         symmetry: all motions that leave the part unchanged.
     """
@@ -82,7 +82,7 @@ def pose_model(mesh: Mesh, symmetry: Symmetry) -> PoseModel:
 def _keys(
     symmetry: Symmetry, middle: Float[np.ndarray, "3"], diameter_m: float
 ) -> Float[np.ndarray, "k 3"]:
-    """Return two points on the axis of a turned part, else the middle and a point on each axis."""
+    """Return two points on the axis of a rotational part, else the centre and one on each axis."""
     if symmetry.continuous:
         axis, offset = (np.array(one, dtype=np.float64) for one in symmetry.continuous[0])
         axis = axis / np.linalg.norm(axis)

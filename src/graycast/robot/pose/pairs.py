@@ -1,12 +1,12 @@
-"""Point-pair features: a table of a part's pairs of points, and votes by pairs in the scene.
+"""Point-pair features: a table of a part's pairs of points, and votes from pairs in the scene.
 
-The feature of two points with normals is their distance and three angles, which no motion changes.
-With each of its pairs, a reference point of the scene votes for all model pairs of equal feature:
-for the corresponding model point, and for the rotation about its normal.
+The feature of two points with normals consists of their distance and three angles, which no rigid
+motion changes. Each pair of a scene's reference point and another point votes for all model pairs
+with the same feature: for their reference points, and for the rotation about the normal.
 
 Source: B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match locally: efficient and
-robust 3D object recognition", CVPR 2010. The more model pairs have a feature, the less each vote
-weighs, so that the many equal pairs on a plane do not outweigh the few distinctive pairs.
+robust 3D object recognition", CVPR 2010. If many model pairs have the same feature, each of their
+votes has less weight. Otherwise, the many equal pairs on a plane would outweigh distinctive pairs.
 """
 
 import math
@@ -18,17 +18,17 @@ from jaxtyping import Float32, Int
 from ...base.kernels import kernel
 from .closest import OrientedPoints
 
-ANGLES = 15  # Each angle of a feature has bins of 12 degrees.
-TURNS = 30  # The turn about the normal has bins of 12 degrees.
+ANGLES = 15  # number of bins of each angle of a feature, 12 degrees wide
+TURNS = 30  # number of bins of the rotation about the normal, 12 degrees wide
 
 
 class PairTable(NamedTuple):
     """The pairs of a model's points, sorted by feature.
 
     Attributes:
-        step_m: the width of a bin of distance.
-        distances: number of bins of distance.
-        start: index of each feature's first pair, and at the end the number of all pairs.
+        step_m: bin width of the distance.
+        distances: number of bins of the distance.
+        start: index of each feature's first pair; the last entry is the number of pairs.
         first: index of each pair's reference point.
         turn_rad: the other point's angle about the reference point's normal.
     """
@@ -50,7 +50,7 @@ def pair_table(points: OrientedPoints, step_m: float) -> PairTable:
 
 @kernel(nogil=True, error_model="numpy")
 def feature_of(p, n, q, m, step_m, distances):
-    """Return the number of the feature of two points; -1 if they coincide or are too far apart."""
+    """Return the number of two points' feature; -1 if they coincide or are too far apart."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     d = int(length / step_m)
@@ -68,7 +68,7 @@ def feature_of(p, n, q, m, step_m, distances):
 
 @kernel(nogil=True, error_model="numpy")
 def frame_of(n):
-    """Return the smallest rotation that turns a normal onto the x axis."""
+    """Return the smallest rotation that maps a normal to the x axis."""
     R = np.empty((3, 3))
     x, y, z = n[0], n[1], n[2]
     if x < -0.999999:
@@ -84,7 +84,7 @@ def frame_of(n):
 
 @kernel(nogil=True, error_model="numpy")
 def turn_of(R, p, q):
-    """Return the angle of q about the x axis after R has turned p's normal onto this axis."""
+    """Return the angle of q about the x axis, after R has rotated p's normal to this axis."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     y = R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz
     z = R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz
@@ -117,7 +117,7 @@ def _filled(point, normal, step_m, distances):
 
 @kernel(nogil=True, error_model="numpy")
 def votes(scene, references, model, pairs, peaks):
-    """Return the best poses by each reference point, and their numbers of votes.
+    """Return the best poses for each reference point, and the weights of their votes.
 
     Args:
         references: indices of the reference points in the scene.
@@ -156,7 +156,7 @@ def votes(scene, references, model, pairs, peaks):
 
 @kernel(nogil=True, error_model="numpy")
 def _pose(T, R_scene, p_scene, R_model, p_model, angle):
-    """Fill T with the pose that maps a model's point and normal to a scene's, with a given turn."""
+    """Fill T with the pose that maps a model's point and normal to the scene's, with a rotation."""
     c, s = math.cos(angle), math.sin(angle)
     turned = np.empty((3, 3))
     for j in range(3):

@@ -1,4 +1,4 @@
-"""Drawing, scoring and alignment of the candidate poses of one detection."""
+"""Render, score and align the candidate poses of one detection."""
 
 from dataclasses import dataclass
 from typing import final
@@ -13,18 +13,18 @@ from .drawing import Canvas, Window, draw, lens
 from .model import PoseModel
 
 TOLERANCE = 0.02  # tolerance of a measurement, as a share of the diameter
-TOLERANCE_SIGMAS = 3.5  # tolerance as a multiple of the noise, if that is more
-# In successive steps, a pixel's depth counts within this many tolerances. The first gate covers the
-# error that ICP may leave. The last is one and a half times the limit for a visible pixel.
+TOLERANCE_SIGMAS = 3.5  # tolerance as a multiple of the noise, if that is larger
+# Gates of successive alignment steps, in tolerances. The first gate covers the error that ICP may
+# leave. The last gate is 1.5 times the limit for a visible pixel.
 GATES = (6.0, 5.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
-EDGE = 3.0  # At a part's outline, the depth falls back by more than this many tolerances.
-LEAST_PIXELS = 30  # Another orientation of a part needs at least this many pixels.
+EDGE = 3.0  # At a part's outline, depth increases by more than this many tolerances.
+LEAST_PIXELS = 30  # minimum number of measured pixels on the part in another orientation
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseTrial:
-    """A pose, its score (at most 1), and its numbers of pixels by kind (see `agreement`)."""
+    """A pose, its score (at most 1), and its number of pixels of each kind (see `agreement`)."""
 
     T: Float[np.ndarray, "4 4"]
     worth: float
@@ -60,15 +60,15 @@ class Trials:
         return PoseTrial(T=T, worth=float(worth), number=number)
 
     def align(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """Return the pose moved so that surface and outline fit the measurement."""
+        """Return the pose after moving it so that surface and outline fit the measurement."""
         moved, gates_m = T.copy(), np.array(GATES) * self.tolerance_m
         align(moved, self._part, self._window, gates_m, EDGE * self.tolerance_m, self._canvas)
         return moved
 
     def placed(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
-        """Return the pose moved to the detection's position and depth; None if too few pixels fit.
+        """Return the pose at the detection's position and depth; None if too few pixels fit.
 
-        The shift is made twice, because a shift along the ray changes the covered pixels.
+        The shift is repeated once, because a shift along the ray changes which pixels are covered.
         """
         window, depth, moved = self._window, self._canvas.depth, T.copy()
         for _ in range(2):

@@ -1,4 +1,4 @@
-"""Comparison of scanners and their poses on the same heaps of parts."""
+"""Comparison of scanners and of scanner poses on the same heaps of parts."""
 
 from .design_run import run_design
 from .design_tables import describe_design, rows_of, write_design

@@ -1,4 +1,4 @@
-"""Choice of a setting: figures over all heaps, the Pareto front, and the recommendation."""
+"""Choose a setting: figures over all heaps, the Pareto front, and the recommendation."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,17 +14,17 @@ from .point_fates import FATES, Fate
 from .setting import Placed
 from .study import DesignSpec
 
-FEWEST_HEAPS = 4  # With fewer heaps, the interval by Student's t is wider than 4 standard errors.
+FEWEST_HEAPS = 4  # With fewer heaps, Student's t interval is wider than 4 standard errors.
 FIGURES = ("of_seen", "sigma_m", "bias_m", "pixel_m", "feature_m", "seconds")
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettingFigures:
-    """A setting's figures: means over the heaps, and the measured share of each heap.
+    """A setting's figures, which are means over the heaps, and the measured share of each heap.
 
-    Figures are NaN if no heap has them. `front` is True on the Pareto front: no other setting is at
-    least as good in measured share, sigma and seconds, and better in one of them.
+    A figure is NaN if no heap has it. `front` is true for a setting on the Pareto front: no other
+    setting is at least as good in measured share, sigma and seconds, and better in one of them.
     """
 
     name: str
@@ -61,7 +61,7 @@ def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
 
 
 def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> SettingFigures:
-    """Return a setting's row from its figures for each heap (None for a heap without figures)."""
+    """Return a setting's figures from its figures for each heap; a heap without figures is None."""
     finished = [heap for heap in heaps if heap is not None]
     return SettingFigures(
         name=placed.setting.name,
@@ -82,8 +82,8 @@ def _mean(values: Sequence[float | None]) -> float:
 def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
     """Return whether each row is on the Pareto front; smaller figures are better.
 
-    A row is off the front if it has a NaN, or if another row is nowhere worse and somewhere
-    better.
+    A row is off the front if it contains a NaN, or if another row is nowhere worse and at least
+    once better.
     """
     beaten = np.isnan(values).any(axis=1)
     for i, own in enumerate(values):
@@ -93,13 +93,13 @@ def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
 
 
 def cost(row: SettingFigures) -> tuple[float, float, float]:
-    """Return the quantities to minimise, as printed: unmeasured share, sigma [mm], seconds."""
+    """Return the quantities to minimise, rounded: unmeasured share, sigma [mm], seconds."""
     sigma_mm, seconds = 1e3 * row.figure["sigma_m"], row.figure["seconds"]
     return round(1 - row.measured.value, 3), round(sigma_mm, 2), round(seconds, 2)
 
 
 def choose(spec: DesignSpec, rows: Sequence[SettingFigures]) -> SettingFigures | None:
-    """Return the setting with the largest measured share that meets the study's needs."""
+    """Return the setting with the largest measured share among those that meet the needs."""
     fit = [row for row in rows if meets(spec, row) and math.isfinite(row.measured.value)]
     return max(fit, key=lambda row: row.measured.value, default=None)
 
@@ -110,7 +110,7 @@ def meets(spec: DesignSpec, row: SettingFigures) -> bool:
 
 
 def unlike(rows: Sequence[SettingFigures], best: SettingFigures) -> Mapping[str, Interval]:
-    """Return the difference of the measured share between the best row and each other row."""
+    """Return the best row's measured share minus that of each other row, with intervals."""
     return {
         row.name: mean_interval(best.measured_by_heap - row.measured_by_heap)
         for row in rows
@@ -119,7 +119,7 @@ def unlike(rows: Sequence[SettingFigures], best: SettingFigures) -> Mapping[str,
 
 
 def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
-    """Return the recommendation in sentences."""
+    """Return the recommendation as text."""
     best = choose(spec, rows)
     if best is None:
         return (
@@ -146,7 +146,7 @@ def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
 
 
 def _few(spec: DesignSpec) -> str:
-    """Return a warning if there are too few heaps for intervals that separate the settings."""
+    """Return a warning if there are too few heaps to distinguish the settings."""
     if spec.layouts >= FEWEST_HEAPS:
         return ""
     heaps = "One heap gives no interval" if spec.layouts == 1 else f"{spec.layouts} heaps are few"
@@ -154,7 +154,7 @@ def _few(spec: DesignSpec) -> str:
 
 
 def where(row: SettingFigures) -> str:
-    """Return a setting in words: the rig, its pose, and the code, exposure, bin and resolution."""
+    """Return a setting in words: rig, pose, code, exposure, bin and resolution."""
     setting, cell = row.placed.setting, row.placed.cell
     view, rig = cell.config.view, cell.scene.rig
     words = f"The rig {rig.name}"
@@ -207,7 +207,7 @@ def _wanted(spec: DesignSpec) -> str:
 
 
 def _nearest(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
-    """Return sentences with the smallest value of each required quantity over all settings."""
+    """Return the smallest value of each limited quantity over all settings, as text."""
     least = []
     for name in spec.needs.model_dump(exclude_none=True):
         candidates = [row for row in rows if math.isfinite(row.figure[name])]

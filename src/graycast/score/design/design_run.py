@@ -1,4 +1,4 @@
-"""Scans of a study's heaps with all its settings, run by workers."""
+"""Scan a study's heaps with all its settings in worker processes."""
 
 import time
 from collections.abc import Callable
@@ -32,7 +32,7 @@ from .study import DesignSpec
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heap:
-    """A heap of dropped parts, and the seeds for light and noise that all settings share."""
+    """A heap of dropped parts, and the seeds for light and noise, which all settings share."""
 
     layout: Layout
     surface: HeapSurface
@@ -41,7 +41,7 @@ class Heap:
 
 
 def make_heap(cell: Cell, spec: DesignSpec, number: int, *, progress: ProgressMeter) -> Heap:
-    """Return the heap with that number; it equals the scene of a dataset with the same seed.
+    """Return heap `number`; it equals the scene with this number in a dataset of the same seed.
 
     Raises:
         DropError, ValueError: the parts do not come to rest, or do not fit into the bin.
@@ -63,7 +63,7 @@ def make_heap(cell: Cell, spec: DesignSpec, number: int, *, progress: ProgressMe
 
 
 class Comparer:
-    """Scanner of a study's heaps; it keeps the renderer and the current heap for each bin."""
+    """A worker that scans a study's heaps; it keeps its renderer and the current heaps."""
 
     def __init__(self, task: "DesignTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
@@ -71,10 +71,10 @@ class Comparer:
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
     def make(self, scene_id: int) -> TaskResult:
-        """Scan one heap with all settings of one light: one rendering, then a scan per setting.
+        """Scan one heap with all settings of one light: render once, then scan for each setting.
 
         Raises:
-            DropError, ValueError: this heap cannot be made or rendered; others may still succeed.
+            DropError, ValueError: this heap cannot be made or rendered; other heaps may succeed.
         """
         start = time.perf_counter()
         group, number = self._task.group(scene_id)
@@ -118,7 +118,7 @@ class Comparer:
         return self._heaps[key]
 
     def _light(self, group: tuple[Placed, ...], heap: Heap) -> tuple[Rendering, list[slice]]:
-        """Render the patterns of all codes; return the rendering and each setting's slice of it."""
+        """Render the patterns of all codes; also return the slice of patterns for each setting."""
         cell = group[0].cell
         by_code = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
         ends = np.cumsum([len(patterns) for patterns in by_code.values()]).tolist()
@@ -143,9 +143,9 @@ class Comparer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignTask(Job):
-    """Data for a worker; with n lights, its scene k is heap `k // n` with light `k % n`.
+    """The data that a worker needs; with n lights, scene k is heap `k // n` under light `k % n`.
 
-    Scenes are ordered by heap, so that a worker keeps only one heap at a time and a stopped
+    Scenes are ordered by heap. Hence a worker keeps only the heaps of one number, and a stopped
     study has some results for every setting.
     """
 
@@ -159,12 +159,12 @@ class DesignTask(Job):
         return self.lights[0][0].cell.scene.parts
 
     def group(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
-        """Return the settings of a scene (they share a light), and the number of its heap."""
+        """Return the settings of a scene, which share one light, and the number of its heap."""
         layout, light = divmod(scene_id, len(self.lights))
         return self.lights[light], layout
 
     def name(self, scene_id: int) -> tuple[str, int]:
-        """Return the name of a scene's setting (or of the light), and the number of its heap."""
+        """Return the name of a scene's setting (or of its light), and the number of its heap."""
         group, layout = self.group(scene_id)
         setting = group[0].setting
         return setting.name if len(group) == 1 else setting.lit.name, layout
@@ -180,12 +180,12 @@ def run_design(
     on_failed: Callable[[str, int, Failed], None] = lambda name, layout, failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> tuple[str, ...]:
-    """Scan all heaps with all settings, except scans that are finished.
+    """Scan all heaps with all settings, except those that are finished.
 
     Args:
         out: folder of the study; a study can be resumed there, even with more settings or heaps.
         device: device of the renderer.
-        on_result, on_failed: called with the name and heap of `DesignTask.name`, and the result.
+        on_result, on_failed: functions that receive the name and heap from `DesignTask.name`.
 
     Returns:
         Names and heaps of the renderings that failed, as `NAME/HEAP`.
@@ -194,7 +194,7 @@ def run_design(
         ConfigError: none of the settings can be used.
         DatasetError: the folder is in use, or its figures come from other values.
         DeviceError: this machine has no such device.
-        GraycastError, ValueError: all scans failed; this is the error of one of them.
+        GraycastError, ValueError: all scans failed; the error is that of one of them.
     """
     placed = place_settings(spec, settings_of(spec), progress=progress)
     task = DesignTask(

@@ -32,7 +32,7 @@ def write_design(spec: DesignSpec, out: Path) -> str:
     """Write `table.md`, `table.csv`, `design.json`, `pareto.png` and `missing.png` to `out`.
 
     Returns:
-        The recommendation in sentences.
+        The recommendation as text.
 
     Raises:
         GraycastError: figures are damaged, or the files cannot be written.
@@ -134,14 +134,14 @@ def _share(interval: Interval) -> str:
 
 
 def _draw_pareto(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
-    """Draw the measured share over sigma and over seconds; settings off the front are pale."""
+    """Plot measured share over sigma and over seconds; settings off the front are pale."""
     best = choose(spec, rows)
     figure, axes = plain_figure(12.0, 5.2, (1, 1))
     for ax, column, words in zip(axes, (1, 2), ("sigma [mm]", "seconds of a scan"), strict=True):
         count = _draw_front(ax, rows, best, column)
         title = f"{spec.title}: {count} of {len(rows)} settings are on the front"
         caption(ax, title, words, "measured share of the open surface [%]")
-    for ax, column in zip(axes, (1, 2), strict=True):  # All other columns are drawn above.
+    for ax, column in zip(axes, (1, 2), strict=True):  # Names avoid the points, drawn above.
         _write_settings(ax, rows, best, column)
     save_png(figure, path, dpi=110)
 
@@ -149,9 +149,9 @@ def _draw_pareto(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -
 def _draw_front(
     ax: Axes, rows: Sequence[SettingFigures], best: SettingFigures | None, column: int
 ) -> int:
-    """Draw measured share and interval over a cost; return the number of settings on the front.
+    """Plot measured share and interval over a cost; return the number of settings on the front.
 
-    Both axes begin at 0, so that nearly equal settings look nearly equal.
+    Both axes begin at 0, so that small differences look small.
     """
     costs = np.array([cost(row) for row in rows])
     front = np.array(on_front(costs[:, [0, column]]))
@@ -173,7 +173,7 @@ def _draw_front(
 def _write_settings(
     ax: Axes, rows: Sequence[SettingFigures], best: SettingFigures | None, column: int
 ) -> None:
-    """Write the settings' names where there is room: first the best setting, then the front."""
+    """Write the settings' names where there is space: first the best setting, then the front."""
     costs = np.array([cost(row) for row in rows])
     front = on_front(costs[:, [0, column]])
     first = sorted(range(len(rows)), key=lambda i: (rows[i] is not best, not front[i]))
@@ -186,7 +186,7 @@ def _write_settings(
 
 
 def _draw_missing(spec: DesignSpec, rows: Sequence[SettingFigures], path: Path) -> None:
-    """Draw a bar for each setting with the shares of the open surface by fate."""
+    """Plot a bar for each setting with the shares of the open surface by fate."""
     figure, (ax,) = plain_figure(10.0, 1.6 + 0.24 * len(rows), (1,), grid="x")
     left = np.zeros(len(rows))
     for fate in FATES:

@@ -1,7 +1,7 @@
-"""The surface of a heap's parts as points, and the visibility of these points.
+"""Points on the surface of a heap's parts, and the visibility of these points.
 
 The points belong to the heap, not to a scanner, so all settings are compared at the same points.
-Visibility is computed by rasterising all meshes from the eye, without a renderer.
+Visibility is computed without a renderer, by rasterising all meshes as seen from an eye.
 """
 
 from dataclasses import dataclass, replace
@@ -18,28 +18,28 @@ from ...world.parts import Mesh
 from ...world.scene import Bin, Layout, Scene, bin_mesh, bin_of
 from ..merge.adding import surface_of
 
-LEAST_PX = 1000  # The longer side of the rendered visibility picture is at least this.
-SLACK_M = 0.5e-3  # Parts penetrate each other, and meshes deviate, by less than this.
-# Each ring has this many directions, tilted by this share of the cone's angle.
+LEAST_PX = 1000  # least length of the longer side of the picture in which visibility is computed
+SLACK_M = 0.5e-3  # tolerance for parts that penetrate each other and for inexact meshes
+# number of directions in each ring of the cone, and their tilt as a share of the cone's angle
 RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))
 
 
 class Visibility(IntEnum):
-    """Visibility of a point from an eye (camera or projector), or why it is not visible."""
+    """Visibility of a point from an eye (camera or projector), or the reason why it is hidden."""
 
     VISIBLE = 0
     OUTSIDE = 1  # The point is not in the picture.
-    BY_PARTS = 2  # Another part hides the point, or the point faces away and its own part hides it.
+    BY_PARTS = 2  # Another part hides the point, or the point faces away from the eye.
     BY_BIN = 3
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeapSurface:
-    """Points on the surfaces of placed parts, each for about the same area, in world coordinates.
+    """Points on the surfaces of placed parts, in the world frame, each for about the same area.
 
-    `weight` is the visibility of a point from above: the mean, over the directions in a cone, of
-    the cosine of incidence (0 if the point is hidden). Points with a weight above 0 are the open
+    `weight` is the visibility of a point from above: the mean, over directions in a cone, of the
+    cosine of incidence (0 where the point is hidden). Points with a weight above 0 are the open
     surface. `instance` is the index of the point's part in the layout.
     """
 
@@ -67,9 +67,9 @@ class Obstacles:
 
 
 def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float) -> HeapSurface:
-    """Spread points over the parts of a heap, and weight them by their visibility from above.
+    """Distribute points over the parts of a heap, and weight them by their visibility from above.
 
-    The points are not random: a heap has the same points in every setting.
+    The points are not random, so a heap has the same points in every setting.
     """
     meshes = [scene.parts[kind].mesh for kind in layout.part_index]
     surface = surface_of(meshes, list(layout.T_world_part), points=points)
@@ -106,7 +106,7 @@ def sight(
 
     A point is hidden if the nearest face in its pixel is closer than the point by more than
     `SLACK_M`, both at the pixel's centre and at the intersection of the face's plane with the
-    point's ray. The picture has at least `LEAST_PX`, because edges may be off by half a pixel.
+    point's ray. The picture has at least `LEAST_PX`, because edges may be wrong by half a pixel.
     """
     eye = _enlarged(optics)
     T_eye_world = inverse(T_world_eye)
@@ -121,7 +121,7 @@ def sight(
     hidden = (hit >= 0) & (own[:, 2] - nearest_m > SLACK_M)
     by_bin = hidden & (hit < obstacles.bin_faces)
     towards = -(own * (normal[inside] @ T_eye_world[:3, :3].T)).sum(axis=-1)
-    # A point that faces away is hidden by its own part, with or without a bin.
+    # A point that faces away is hidden by its own part, whether or not the bin hides it, too.
     cases = [by_bin & (towards > 0), hidden | (towards <= 0)]
     visibility[inside] = np.select(
         cases, [int(Visibility.BY_BIN), int(Visibility.BY_PARTS)], int(Visibility.VISIBLE)
@@ -158,7 +158,7 @@ def _enlarged(optics: Optics) -> Optics:
 
 
 def _cone(box: Bin, cone_deg: float) -> list[tuple[Optics, Float[np.ndarray, "4 4"]]]:
-    """Return distant eyes above the bin, on all sides and up to `cone_deg` from the vertical."""
+    """Return distant eyes above the bin, in all directions up to `cone_deg` from the vertical."""
     low, high = box.bounds_m
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     away_m = 10 * radius_m  # From far away, the rays are nearly parallel.

@@ -1,4 +1,4 @@
-"""Result of one setting on one heap: the fate and the depth error of each surface point."""
+"""Find the fate and the depth error of each surface point, for one setting on one heap."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -26,21 +26,21 @@ class Fate(StrEnum):
     """The fate of a point on the open surface.
 
     A point that the camera sees and that has depth is `MEASURED` or `WRONG`. A point without depth
-    has a geometric fate if one applies (hidden, or out of the light), else the decoder's reason.
+    has a geometric fate if it is hidden or unlit, else the fate of the decoder's reason.
     """
 
     MEASURED = "measured"
-    OUTSIDE_PICTURE = "outside_picture"  # outside the camera's picture
+    OUTSIDE_PICTURE = "outside_picture"  # The point is outside the camera's picture.
     HIDDEN_BY_WALL = "hidden_by_wall"  # The bin hides the point from the camera.
     HIDDEN_BY_PARTS = "hidden_by_parts"  # Parts hide the point from the camera, or it faces away.
     OUTSIDE_PROJECTOR = "outside_projector"
     WALL_SHADOW = "wall_shadow"  # The camera sees the point, but the bin blocks the projector.
     PART_SHADOW = "part_shadow"
-    EDGE = "edge"  # The pixel's centre shows another surface: the pixels are too coarse.
-    DARK = "dark"  # The point is lit but returns too little light: dark, or glossy and tilted.
-    GLARE = "glare"  # the pixel is saturated
-    INTERREFLECTION = "interreflection"  # light from elsewhere contradicts the code
-    FILTERED = "filtered"  # The pixel was removed as an outlier.
+    EDGE = "edge"  # The centre of the point's pixel shows another surface.
+    DARK = "dark"  # The point returns too little light, because it is dark, or glossy and tilted.
+    GLARE = "glare"  # The pixel is saturated.
+    INTERREFLECTION = "interreflection"  # Light from other surfaces contradicts the code.
+    FILTERED = "filtered"  # A filter removed the pixel as an outlier.
     OUT_OF_RANGE = "out_of_range"
     WRONG = "wrong"  # The depth is farther from the truth than the study allows.
 
@@ -78,7 +78,7 @@ _NUMBER = {fate: number for number, fate in enumerate(FATES)}
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceView:
-    """Visibility of a heap's points to the camera and the projector; the same for all codes."""
+    """Visibility of a heap's points to camera and projector; it does not depend on the code."""
 
     camera: Int[np.ndarray, " n"]  # a `Visibility` for each point
     projector: Int[np.ndarray, " n"]
@@ -101,7 +101,7 @@ def view_of(scene: Scene, layout: Layout, surface: HeapSurface) -> SurfaceView:
     camera = sight(obstacles, rig.camera, scene.T_world_cam, surface.point_m, surface.normal)
     pixel = np.rint(project(rig.camera, at))
     inside = camera != Visibility.OUTSIDE
-    # An enlarged picture has the camera's borders, but it rounds half pixels differently.
+    # `sight` uses an enlarged picture, whose borders are the same but whose rounding differs.
     last = np.array([rig.camera.width_px - 1, rig.camera.height_px - 1])
     column, row = np.where(inside[:, None], pixel, 0.0).clip(0, last).astype(np.int64).T
     return SurfaceView(
@@ -160,12 +160,12 @@ def figures(
 ) -> dict[str, Any]:
     """Return a setting's figures over a heap's open surface.
 
-    Points count by their `weight`. The figures below are None if nothing was measured.
+    Points are weighted by their `weight`. The following figures are None if nothing was measured.
 
     `sigma_m` is half the range of the middle 68.3 % of the errors, which ignores a few wrong
-    depths, and `bias_m` is their median. `pixel_m` is the median size of a pixel of the coarser
-    device on the measured surface. `feature_m` is the side of the smallest cube that is visible on
-    a flat surface: it is at least `FEATURE_PX` pixels wide and `FEATURE_SIGMAS` sigma high.
+    depths, and `bias_m` is their median. `pixel_m` is the median size on the measured surface of a
+    pixel of the coarser device. `feature_m` is the side of the smallest cube that is visible on a
+    flat surface: it is at least `FEATURE_PX` pixels wide and `FEATURE_SIGMAS` sigma high.
     """
     weight = surface.weight / surface.weight.sum()
     share = dict(zip(FATES, np.bincount(fates.fate, weight, len(FATES)).tolist(), strict=True))
@@ -205,9 +205,9 @@ def _quantiles(
 def picture_png(
     gray: UInt8[np.ndarray, "h w"], view: SurfaceView, surface: HeapSurface, fates: PointFates
 ) -> bytes:
-    """Return a PNG file: the white frame, and the same with points of the open surface by fate.
+    """Return a PNG file with the white frame, and with the points of the open surface by fate.
 
-    A point colours its pixel and the eight pixels around; unmeasured points cover measured ones.
+    A point colours 3 x 3 pixels; unmeasured points are drawn over measured ones.
     """
     gray, fate = srgb_of_bytes(gray), fates.fate
     visible = surface.opened & (view.camera == Visibility.VISIBLE)
@@ -226,7 +226,7 @@ def picture_png(
 
 
 def _legend(height_px: int, fate: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a picture of the legend: the fates that occur, with their colours."""
+    """Return an image of the legend: the fates that occur, with their colours."""
     image = np.full((height_px, _LEGEND_PX, 3), 255, dtype=np.uint8)
     row = 20
     for number in np.unique(fate).tolist():

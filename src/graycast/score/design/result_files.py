@@ -1,10 +1,10 @@
-"""Results of a design study on disk: a folder for each setting, a file for each of its heaps.
+"""Results of a design study on disk: a folder for each setting, with a file for each heap.
 
 design.json           figures of all settings, and the recommendation
 table.md, table.csv   the same figures as tables
 pareto.png, missing.png
 settings/NAME/
-    setting.json      all values that the figures depend on; a run with other values is refused
+    setting.json      all values that the figures depend on; runs with other values are refused
     000.json          figures of one heap
     picture.png       the fates of the surface points of the first heap
 """
@@ -43,7 +43,7 @@ def is_finished(out: Path, name: str, layout: int) -> bool:
 
 
 def write_heap(out: Path, files: Sequence[tuple[str, bytes]]) -> None:
-    """Write a heap's files; the figures come last because they mark the heap as complete.
+    """Write a heap's files; the figures are written last because they mark the heap as complete.
 
     Raises:
         GraycastError: the files cannot be written.
@@ -53,7 +53,7 @@ def write_heap(out: Path, files: Sequence[tuple[str, bytes]]) -> None:
 
 
 def claim_setting(out: Path, placed: Placed, described: Mapping[str, Any]) -> None:
-    """Make a setting's folder, or check that an existing folder has the same values.
+    """Create a setting's folder, or check that an existing folder has the same values.
 
     Raises:
         DatasetError: the folder was measured with other values; the message names the difference.

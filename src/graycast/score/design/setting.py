@@ -1,4 +1,4 @@
-"""The settings of a design study, and the cell for each setting."""
+"""The settings of a design study, and the cell of each setting."""
 
 from collections import Counter
 from dataclasses import astuple, dataclass, replace
@@ -25,7 +25,7 @@ from .study import DesignSpec, SweepSection
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """One combination in a sweep; None keeps the cell's value."""
+    """One combination of values in a sweep; a value of None means the cell's own value."""
 
     rig: str | None = None
     resolution: str | None = None
@@ -81,15 +81,15 @@ def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placed:
-    """A setting with the cell that has the setting's rig, pose, code, exposure and bin."""
+    """A setting, and the cell with the setting's rig, pose, code, exposure and bin."""
 
     setting: Setting
     cell: Cell
 
     def described(self, spec: DesignSpec) -> dict[str, Any]:
-        """Return all values that the figures depend on, for JSON and the check of earlier results.
+        """Return all values that the figures depend on, for JSON and to check earlier results.
 
-        The number of layouts is left out, because layouts can be added later.
+        The number of layouts is excluded, because layouts can be added later.
         """
         cell = self.cell
         beside = {"cell", "title", "layouts", "codes", "exposures", "bins", "sweeps", "needs"}
@@ -106,10 +106,10 @@ class Placed:
 def place_settings(
     spec: DesignSpec, settings: tuple[Setting, ...], *, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Placed, ...]:
-    """Return the settings of a study with their cells, without impossible ones (`progress` notes).
+    """Return the possible settings of a study with their cells; report others to `progress`.
 
     Raises:
-        ConfigError: the file of the cell cannot be used, or no setting can; the message says why.
+        ConfigError: the cell's file cannot be used, or no setting is possible; the error says why.
     """
     config = load_config(spec.cell)
     if config.domain is not None:
@@ -178,7 +178,7 @@ def _config(spec: DesignSpec, config: Config, setting: Setting) -> Config:
 def _refuse_out_of_range(
     rig: Rig, T_world_cam: Float[np.ndarray, "4 4"], bounds_m: Float[np.ndarray, "2 3"]
 ) -> None:
-    """Raise an error if the bin is completely outside of the rig's working range."""
+    """Raise ConfigError if the bin is completely outside the rig's working range."""
     corners = np.stack(np.meshgrid(*bounds_m.T), axis=-1).reshape(-1, 3)
     z_m = transform_points(inverse(T_world_cam), corners)[:, 2]
     if z_m.max() < rig.near_m or z_m.min() > rig.far_m:

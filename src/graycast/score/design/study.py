@@ -17,7 +17,7 @@ from ...rig.pair import PRESETS
 from ...rig.shelf import no_rig
 from ...world.parts.material_section import MaterialSection
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # The name is part of a path.
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # It becomes a file name.
 Code = Annotated[Settings, read_as(CodeSection)]
 Exposure = Annotated[Settings, read_as(ExposureSection)]
 Tilt = Annotated[float, Field(ge=0, le=80)]
@@ -81,9 +81,9 @@ class NeedsSection(Settings):
 
 
 class DesignSpec(Settings):
-    """A design study: each setting in its sweeps scans the same heaps of parts.
+    """A design study, in which all settings of its sweeps scan the same heaps of parts.
 
-    Relative paths start at the folder of the study's file.
+    Relative paths refer to the folder of the study's file.
     """
 
     title: str = Field(default="Design study", description="The title of the table.")
@@ -144,7 +144,7 @@ def read_design(path: Path) -> DesignSpec:
     """Read and check the file of a design study; relative paths in it become absolute.
 
     Raises:
-        ConfigError: the file is missing, has unknown, missing or wrong keys, or names no known rig.
+        ConfigError: the file is missing, has unknown, missing or wrong keys, or an unknown rig.
     """
     study = read_settings(path, DesignSpec)
     base = Path(os.path.normpath(path.parent.absolute()))

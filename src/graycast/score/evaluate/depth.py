@@ -1,10 +1,10 @@
 """Bias, noise, spikes and holes of the scanner's depth by angle of incidence.
 
-`graycast dataset stats` has the same figures over all angles and over the parts. The angle is
-between the camera's ray and the normal of the perfect surface. The normal is from central
-differences of the surface's points, which are exact for planes. A pixel has no such angle if its
-neighbours are not on one surface (at a step, a crease, or the border of the picture or of perfect
-depth); these pixels have a separate row.
+`graycast dataset stats` prints the same figures over all angles and over the parts. The angle is
+between the camera's ray and the normal of the perfect surface, which comes from central differences
+of the surface's points (exact for planes). A pixel has no such angle if its neighbours are not on
+one surface (at a step, a crease, or the border of the picture or of the perfect depth). These
+pixels have a separate row.
 """
 
 import itertools
@@ -39,16 +39,16 @@ from ...rig.optics import undistort
 
 ANGLE_EDGES_DEG = (0, 10, 20, 30, 40, 50, 60, 70, 80, 90)
 DEPTH = "depth.json"
-EDGE = len(ANGLE_EDGES_DEG) - 1  # the row of the pixels without an angle
+EDGE = len(ANGLE_EDGES_DEG) - 1  # row of the pixels without an angle
 _COLUMNS = (
     "of", "angle", "pixels", "decoded", "bias_mm", "sigma_mm", "rms_mm", "beyond_1mm", "beyond_5mm"
 )  # fmt: skip
-_KINK = 0.5  # Largest distance along the ray from the middle of the neighbours, in pixel spacings.
+_KINK = 0.5  # largest distance of a smooth pixel from its neighbours' mean, in pixel spacings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthRow:
-    """Figures of the pixels with perfect depth in a range of angles.
+    """Figures of the pixels in a range of angles; all of them have perfect depth.
 
     Attributes:
         name: name of the range, such as `10 to 20 deg`, or `edges`.
@@ -68,7 +68,7 @@ Tables = Mapping[str, Sequence[DepthRow]]
 def evaluate_depth(
     dataset: Path, *, progress: ProgressMeter = UNWATCHED
 ) -> dict[str, list[DepthRow]]:
-    """Return depth errors over all pixels (`all`) and over the parts (`parts`) of a dataset.
+    """Return depth errors of a dataset over all pixels (`all`) and over the parts (`parts`).
 
     Raises:
         DatasetError: the dataset cannot be read.
@@ -91,7 +91,7 @@ def evaluate_depth(
 
 
 def depth_rows(scenes: Iterable[SceneContent]) -> dict[str, list[DepthRow]]:
-    """Return a row for each range of angles and for edges, over all pixels and over visible parts.
+    """Return rows for each range of angles and for edges: over all pixels, and over the parts.
 
     Each scene is read only once.
     """
@@ -128,7 +128,7 @@ def incidence_rad(
     """Return the angle between camera ray and surface normal; NaN at edges of the surface.
 
     Args:
-        depth_m: z in the camera frame, NaN without depth.
+        depth_m: z in the camera frame; NaN without depth.
         K: camera matrix in pixels; the centre of the top-left pixel is (0, 0).
         distortion: OpenCV's coefficients k1, k2, p1, p2, k3.
     """
@@ -138,7 +138,7 @@ def incidence_rad(
     ideal = undistort(direction, (k1, k2, p1, p2, k3))
     ray = np.concatenate([ideal, np.ones((*depth_m.shape, 1))], axis=-1)
     point = _with_border(depth_m[..., None].astype(float) * ray)
-    # These vectors go from the previous to the next pixel; they are NaN at the border.
+    # Vectors from the previous to the next pixel; they are NaN at the border.
     across, down = point[1:-1, 2:] - point[1:-1, :-2], point[2:, 1:-1] - point[:-2, 1:-1]
     normal = np.cross(across, down)
     length = np.linalg.norm(normal, axis=-1) * np.linalg.norm(ray, axis=-1)
@@ -150,10 +150,10 @@ def incidence_rad(
 def _smooth(
     depth_m: Float[np.ndarray, "h w"], K: Float[np.ndarray, "3 3"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return whether each pixel is on a plane with its neighbours (on a plane, 1/z is linear).
+    """Return whether each pixel is on one plane with its neighbours (on a plane, 1/z is linear).
 
-    The difference of 1/z from the mean of its neighbours is converted to a depth and compared
-    with their spacing on a facing surface, z / f.
+    The difference between a pixel's 1/z and the mean of its neighbours is converted to depth. It is
+    compared with the spacing of the pixels on a surface that faces the camera, which is z / f.
     """
     inverse = _with_border(1 / depth_m.astype(float))
     middle = inverse[1:-1, 1:-1]

@@ -1,18 +1,18 @@
-"""Confidence intervals of the figures by the bootstrap over scenes.
+"""Confidence intervals of the figures, from a bootstrap over scenes.
 
 The parts of a scene share light and clutter, and so do its pictures from several views. Therefore
-whole scenes are resampled, not parts or pictures. Each draw takes n of the n scenes, with
-repetition; detections are matched only once.
+whole scenes are resampled, not parts or pictures. Each draw takes n of the n scenes with
+replacement; detections are matched only once.
 
-Percentiles of such draws are too narrow for few scenes: by the factor sqrt((n - 1) / n), and
+For few scenes, percentiles of such draws are too narrow: by the factor sqrt((n - 1) / n), and
 because Student's t distribution is wider than the normal distribution. Percentiles farther out
 correct both errors; for five scenes they are nearly the smallest and the largest draw.
 
 Average precision is not a mean over scenes, so more than half of the draws may exceed the estimate.
 With the share p of draws below the estimate and z0 = Phi^-1(p), the limits are the percentiles
-Phi(2 z0 - z) and Phi(2 z0 + z) instead of Phi(-z) and Phi(z). This bias-corrected interval contains
-the estimate. The correction z0 is limited to z / 2; there the median of the draws is a limit.
-If the estimate is still outside of the interval, the interval is extended to it.
+Phi(2 z0 - z) and Phi(2 z0 + z) instead of Phi(-z) and Phi(z) (a bias-corrected interval). The
+correction z0 is limited to +-z / 2; at this limit, the median of the draws is one end of the
+interval. If the estimate is still outside the interval, the interval is extended to it.
 
 Sources: Hesterberg, "What Teachers Should Know About the Bootstrap", The American Statistician
 69(4), 2015 (section 5.3, expanded percentile interval); Efron, "Nonparametric Standard Errors and
@@ -33,7 +33,7 @@ from .scores import Scores, figures_of_draws
 
 LEVEL = 0.95
 DRAWS = 1000
-_EQUAL = 1e-12  # Resampled values this near to the estimate differ from it by rounding only.
+_EQUAL = 1e-12  # tolerance for rounding errors of resampled values that equal the estimate
 
 
 @public_value
@@ -55,7 +55,7 @@ class Interval:
         return f"{text} ({self.low:{form}} to {self.high:{form}})"
 
     def cells(self) -> list[str]:
-        """Return the value and its limits as cells of a spreadsheet; unknown numbers are empty."""
+        """Return the value and its limits as cells of a spreadsheet; NaN becomes an empty cell."""
         numbers = (self.value, self.low, self.high)
         return ["" if math.isnan(x) else f"{x:.6f}" for x in numbers]
 
@@ -63,9 +63,9 @@ class Interval:
 def draw_scenes(
     scene_of: Sequence[int], *, seed: int, draws: int = DRAWS
 ) -> Int[np.ndarray, "draws pictures"]:
-    """Return how often each draw contains each picture's scene.
+    """Return how many times each draw contains each picture's scene.
 
-    Equal seeds and numbers of scenes give equal draws. `scene_of` is the scene of each picture.
+    Equal seeds and numbers of scenes give equal draws. `scene_of` has the scene of each picture.
     """
     ids, place = np.unique(np.asarray(scene_of), return_inverse=True)
     even = np.full(len(ids), 1 / len(ids))
@@ -74,7 +74,7 @@ def draw_scenes(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BootstrapFigure:
-    """A figure with its value in each draw, so that differences and means also get intervals.
+    """A figure with its value in each draw, so that differences and means get intervals, too.
 
     Figures from the same scenes and seed are paired, so their difference has the interval of a
     paired difference. Figures from different sets of scenes need different seeds.
@@ -146,9 +146,9 @@ def mean(figures: Sequence[BootstrapFigure]) -> BootstrapFigure:
 
 
 def interval_of(value: float, draws: Float[np.ndarray, " draws"], scenes: int) -> Interval:
-    """Return the interval of a figure from its draws; it always contains the figure.
+    """Return the interval of a figure from its draws; the interval always contains the figure.
 
-    Draws without instances to find are NaN and are ignored.
+    Draws without instances to find are NaN; they are ignored.
     """
     draws = draws[~np.isnan(draws)]
     if scenes < 2 or not len(draws):
@@ -157,6 +157,6 @@ def interval_of(value: float, draws: Float[np.ndarray, " draws"], scenes: int) -
     below, above = np.mean(draws < value - _EQUAL), np.mean(draws > value + _EQUAL)
     bias = np.clip(
         stats.norm.ppf((1 + below - above) / 2), -z / 2, z / 2
-    )  # Equal values count half.
+    )  # Values that equal the estimate count half.
     low, high = np.quantile(draws, stats.norm.cdf([2 * bias - z, 2 * bias + z]))
     return Interval(value=value, low=min(float(low), value), high=max(float(high), value))

@@ -42,11 +42,11 @@ class Evaluation:
     categories: Mapping[int, str]
     protocol: Protocol
     judgements: tuple[Judgement, ...]
-    notes: tuple[str, ...]  # facts that a reader must know about the results
+    notes: tuple[str, ...]  # warnings about the results
 
 
 def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> None:
-    """Write the evaluation's files; a kind of mistake that never occurs gets no sheet.
+    """Write the evaluation's files; a kind of mistake that does not occur gets no sheet.
 
     Args:
         picture: function that returns a scene's picture by its id.
@@ -110,7 +110,7 @@ def summary(evaluation: Evaluation) -> str:
 
 
 def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
-    """Yield the paragraphs of the Markdown file: sentences and tables of figures with intervals."""
+    """Yield the paragraphs of the Markdown file: text, and tables of figures with intervals."""
     yield "# " + evaluation.run.name
     yield _what(evaluation)
     yield from evaluation.notes
@@ -196,7 +196,7 @@ def _intervals(figures: Mapping[str, Interval]) -> dict[str, Any]:
 
 
 def _scenes(one: Judgement) -> Iterator[dict[str, Any]]:
-    """Yield the numbers of hits, misses and false alarms in each scene at the working point."""
+    """Yield the numbers of hits, misses and false alarms of each scene at the working point."""
     hits: Counter[int] = Counter()
     for match in one.scores.matches.values():
         at_work = match.hit[AT_HALF] & (match.score >= one.point.score)

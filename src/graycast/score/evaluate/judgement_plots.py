@@ -29,18 +29,18 @@ from .scores import RECALLS, precision_curves
 MOST_CROPS = 20
 TRUTH_COLOR, DETECTION_COLOR = "#3ddc84", "#ff4d4d"
 _COLUMNS = 5
-_MARGIN = 0.6  # the margin on each side, as a share of the longer side of the detail
+_MARGIN = 0.6  # margin on each side of a crop, as a share of the box's longer side
 _LEAST_PX = 48
 
 Picture = Callable[[int], UInt8[np.ndarray, "h w 3"]]
-_CURVES = ((0, INK), (5, ACCENT), (8, SECOND))  # Of THRESHOLDS, these are 0.50, 0.75, 0.90.
+_CURVES = ((0, INK), (5, ACCENT), (8, SECOND))  # indices of 0.50, 0.75 and 0.90 in THRESHOLDS
 _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 
 
 def draw_precision_recall(
     judgements: Sequence[Judgement], categories: Mapping[int, str], path: Path
 ) -> None:
-    """Draw precision-recall curves: a panel for boxes and for masks, and panels for the classes."""
+    """Plot precision-recall curves for boxes and masks, as class means and for each class."""
     several = len(judgements[0].scores.matches) > 1
     panels = 2 if several else 1
     count = panels * len(judgements)
@@ -54,7 +54,7 @@ def draw_precision_recall(
 
 
 def draw_groups(judgements: Sequence[Judgement], path: Path) -> None:
-    """Draw the average precision of each group; write no file if there are no groups."""
+    """Plot the average precision of each group; write no file if there are no groups."""
     ways = list(dict.fromkeys(row.by for row in judgements[0].rows if row.by != "all"))
     if not ways:
         return
@@ -176,7 +176,7 @@ def _draw_sheet(
     picture: Picture,
     path: Path,
 ) -> None:
-    """Draw crops of mistakes with their titles on one sheet."""
+    """Write one sheet with crops of the mistakes and their titles."""
     if not crops:
         return
     rows = -(-len(crops) // _COLUMNS)

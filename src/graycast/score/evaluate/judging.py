@@ -1,9 +1,9 @@
-"""Comparison of detections with labels, for boxes and for masks, over all instances and by groups.
+"""Compare detections with labels, for boxes and for masks, over all instances and by groups.
 
 Instances outside a group are ignored: a detector need not find them, and a detection that matches
-one is neither a hit nor a mistake. Their overlap stays intersection over union, so a detection that
-overlaps no instance enough is a mistake in every group. The groups by size are an exception: there
-a detection without a match is a mistake only in the group of its own size, as in COCO.
+such an instance is neither a hit nor a mistake. Their overlap is still intersection over union, so
+a detection that overlaps no instance enough is a mistake in every group. Groups by size are an
+exception: a detection without a match is a mistake only in the group of its own size, as in COCO.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,7 +25,7 @@ from .mistakes import FalseAlarm, Miss, WorkingPoint, false_alarms, misses, work
 from .scores import MOST, Scores, score, scores_of
 
 VISIBILITY_EDGES = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
-# Areas are shares of the picture; each edge is four times the last.
+# Edges are shares of the picture's area; each edge is four times the previous one.
 AREA_EDGES = (0.0, 0.001, 0.004, 0.016, 0.064, 1.0)
 MISSING_EDGES = (0.0, 0.05, 0.2, 0.5, 1.0)
 KINDS: tuple[Kind, ...] = ("box", "mask")
@@ -34,7 +34,7 @@ KINDS: tuple[Kind, ...] = ("box", "mask")
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Protocol:
-    """Parameters of a judgement."""
+    """Parameters of a comparison."""
 
     min_visibility: float = MIN_VISIBILITY
     most: int = MOST
@@ -78,7 +78,7 @@ class Judgement:
 
     Attributes:
         rows: figures over all instances, then over each class, then over each group.
-        against: differences of `FIGURES` from the other results; None without other results.
+        against: differences of `FIGURES` from another file of results; None without such a file.
         point: working point at which `misses` and `false_alarms` are listed.
     """
 
@@ -162,7 +162,7 @@ def _group_scores(
 
 
 def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> Iterator[Group]:
-    """Yield groups by visibility, size and missing depth, unless the labels lack that quantity."""
+    """Yield groups by visibility, size and missing depth, if the labels have that quantity."""
     if all(one.visib_fract is not None for one in labels):
         above = [edge for edge in VISIBILITY_EDGES if edge > min_visibility]
         for low, high in pairwise([min_visibility, *above]):
@@ -174,7 +174,7 @@ def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> It
             return _area_px2(one, kind) / pixels[one.scene_id]
 
         for low, high in pairwise(AREA_EDGES):
-            # A box that reaches beyond the picture counts only inside the picture.
+            # A box may extend beyond the picture, so its share may exceed 1.
             yield _group("size", low, high, share, lambda one: np.minimum(share(one), 1.0))
     if all(one.missing is not None for one in labels):
         for low, high in pairwise(MISSING_EDGES):

@@ -24,11 +24,11 @@ class Labels:
     Attributes:
         scene_id: number of the picture in its dataset; the scene's number if it has one picture.
         scene: number of the picture's scene.
-        size_px: height and width of the picture; None if the example has no picture.
+        size_px: height and width of the picture; None if unknown.
         obj_id: object id of each instance.
-        box_px: [x, y, columns, rows] of each visible mask, as for detections.
+        box_px: box of each visible mask as [x, y, columns, rows], as for detections.
         mask: visible mask of each instance as compressed run lengths; None without masks.
-        ignored: whether the instance is too hidden to count; a detection of it is no mistake.
+        ignored: whether the instance is too hidden to count; detecting it is no mistake.
         visib_fract: visible share of each silhouette; None if unknown.
         missing: share of each visible mask without scanner depth; None if unknown.
         instance: index of each instance in the dataset's `scene_gt.json`; None without that file.
@@ -57,8 +57,8 @@ class Labels:
 def labels_of(example: Example, *, min_visibility: float, scene: int | None = None) -> Labels:
     """Return the labels of an example; instances below `min_visibility` are marked as ignored.
 
-    If visible shares are unknown, no instance is ignored. `scene` is the scene of the picture if
-    scenes have several pictures.
+    If visible shares are unknown, no instance is ignored. `scene` is the number of the picture's
+    scene; it is needed if scenes have several pictures.
 
     Raises:
         GraycastError: the example has no labels.

@@ -1,7 +1,7 @@
-"""The matching of detections and instances by COCO's rule, for all thresholds at once.
+"""Match detections and instances by COCO's rule, for all thresholds at once.
 
-Within a scene and a class, the detections choose in the order of their scores. Each takes the free
-instance that it overlaps most, if the overlap reaches the threshold. Instances that count take
+Within a scene and a class, detections choose in descending order of their scores. Each takes the
+free instance that it overlaps most, if the overlap reaches the threshold. Instances that count take
 precedence over ignored instances, which several detections can take. The rule is that of
 pycocotools 2.0 (`COCOeval.evaluateImg`), which is slow. faster-coco-eval 1.8 has no `Group`,
 returns matches only at its lowest threshold, and needs 4 to 8 s for 1000 draws (here 0.2 s).
@@ -52,7 +52,7 @@ class Overlaps:
     Attributes:
         labels: labels in the order of scene ids.
         detections: detections in the same order.
-        most: largest number of detections of a class in a scene; further detections are left out.
+        most: largest number of detections of a class in a scene; others are left out.
         pairs: for each class, a `Pair` for each scene with an instance or a detection of the class.
     """
 
@@ -71,9 +71,9 @@ class ClassMatches:
     Attributes:
         scene: index of each detection's scene among the scenes.
         detection: index of the detection in the scene's `Detections`.
-        instance: index of the matched instance in the scene's `Labels`, by threshold; -1 for none.
+        instance: index of the matched instance in the scene's `Labels`, by threshold; -1 if none.
         hit: whether the matched instance is an instance to find.
-        counted: whether the detection is a hit or a mistake; False for a match that is ignored.
+        counted: whether the detection is a hit or a mistake; False if its match is ignored.
         to_find: number of instances to find in each scene.
     """
 
@@ -92,9 +92,9 @@ class Group:
 
     Attributes:
         by: quantity that defines the group.
-        low, high: limits of the group's shares; `high` itself belongs only to the last group.
-        other_instances: function that returns a mask of the instances outside of the group, which
-            are ignored there; their overlap stays intersection over union, unlike for crowds.
+        low, high: limits of the group's shares; only the last group includes `high`.
+        other_instances: function that returns a mask of the instances outside the group. They are
+            ignored, but their overlap is still intersection over union, unlike for COCO's crowds.
         other_detections: function that returns a mask of the detections that are no mistakes in
             the group if they match no instance; None if all such detections are mistakes.
     """
@@ -238,7 +238,7 @@ def _match_class(known: Overlaps, pairs: tuple[Pair, ...], group: Group | None) 
         instance=np.concatenate(instance, axis=1)[:, order],
         hit=np.concatenate(hit, axis=1).take(
             order, axis=1
-        ),  # row-major, because the kernels are compiled for it
+        ),  # The kernels are compiled for row-major arrays.
         counted=np.concatenate(counted, axis=1).take(order, axis=1),
         to_find=to_find,
     )
@@ -246,7 +246,7 @@ def _match_class(known: Overlaps, pairs: tuple[Pair, ...], group: Group | None) 
 
 @kernel()
 def _take(overlap, ignored, shared, thresholds):
-    """Return the index of the instance that each detection takes, for each threshold; -1 for none.
+    """Return the index of the instance that each detection takes at each threshold; -1 if none.
 
     Among equal overlaps, the last instance is taken, as in pycocotools.
     """
@@ -255,7 +255,7 @@ def _take(overlap, ignored, shared, thresholds):
     for t in range(len(thresholds)):
         taken = np.zeros(instances, dtype=np.bool_)
         for d in range(detections):
-            for wanted in (False, True):  # Ignored objects are matched after those that count.
+            for wanted in (False, True):  # Instances that count take precedence over ignored ones.
                 best = min(thresholds[t], 1 - 1e-10)
                 for g in range(instances):
                     if ignored[g] != wanted or (taken[g] and not shared[g]):

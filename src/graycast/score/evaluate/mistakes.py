@@ -1,8 +1,8 @@
 """Missed instances and false alarms of detections at a working point.
 
-The working point is a threshold on the score. Its F1 (harmonic mean of precision and recall at an
-overlap of 0.5) is the best over all classes in the judged scenes, so results in other scenes are
-slightly worse.
+The working point is a threshold on the score. It has the best F1 (harmonic mean of precision and
+recall at an overlap of 0.5) over all classes in the evaluated scenes. Therefore results in other
+scenes are slightly worse.
 """
 
 from collections.abc import Mapping
@@ -16,8 +16,8 @@ from pycocotools import mask as coco_mask
 from ...base.public_value import public_value
 from .matching import ClassMatches, Overlaps, shapes
 
-AT_HALF = 0  # the index of 0.5 in THRESHOLDS
-NEAR = 0.1  # A detection that overlaps less belongs to no object.
+AT_HALF = 0  # index of the overlap 0.5 in THRESHOLDS
+NEAR = 0.1  # A detection with a smaller overlap belongs to no instance.
 
 Why = Literal["found twice", "badly placed", "another class", "nothing there"]
 
@@ -37,8 +37,8 @@ class WorkingPoint:
 class Miss:
     """An instance to find that no detection matches.
 
-    `scene` is an index among the scenes, `instance` an index in its `Labels`. `overlap` and `score`
-    are from the detection (of any class and score) with the largest overlap; 0 and NaN if none.
+    `scene` is an index among the scenes, `instance` an index in the scene's `Labels`. `overlap` and
+    `score` come from the detection (of any class) with the largest overlap; 0 and NaN if none.
     """
 
     scene: int
@@ -50,7 +50,7 @@ class Miss:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FalseAlarm:
-    """A detection that matches no instance to find; `overlap` is with the instance behind `why`."""
+    """A detection that matches no instance to find; `why` is the reason, with its `overlap`."""
 
     scene: int
     detection: int
@@ -60,7 +60,7 @@ class FalseAlarm:
 
 
 def working_point(matches: Mapping[int, ClassMatches]) -> WorkingPoint:
-    """Return the score with the best F1; NaN if there is nothing to find or no detection."""
+    """Return the working point with the best F1; NaN without instances to find or detections."""
     wanted = sum(int(one.to_find.sum()) for one in matches.values())
     score = np.concatenate([np.empty(0), *(one.score for one in matches.values())])
     if not wanted or not len(score):
@@ -69,7 +69,7 @@ def working_point(matches: Mapping[int, ClassMatches]) -> WorkingPoint:
     order = np.argsort(-score, kind="stable")
     hit = np.concatenate([one.hit[AT_HALF] for one in matches.values()])[order]
     counted = np.concatenate([one.counted[AT_HALF] for one in matches.values()])[order]
-    last = np.append(np.diff(score[order]) < 0, True)  # equal scores count together
+    last = np.append(np.diff(score[order]) < 0, True)  # Equal scores are above the same thresholds.
     hits, counts = np.cumsum(hit)[last], np.cumsum(counted)[last]
     best = int(np.argmax(2 * hits / (counts + wanted)))
     return WorkingPoint(
@@ -161,7 +161,7 @@ def _overlaps(
     detection: Int[np.ndarray, " d"],
     instance: Int[np.ndarray, " g"],
 ) -> Float[np.ndarray, "d g"]:
-    """Return the intersection over union for all pairs of detection and instance, of any class."""
+    """Return the intersection over union of all pairs of detection and instance, of any class."""
     if not (len(detection) and len(instance)):
         return np.zeros((len(detection), len(instance)))
     instances, detections = shapes(known.labels[scene], known.detections[scene], known.kind)

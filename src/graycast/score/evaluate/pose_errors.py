@@ -11,8 +11,8 @@ from jaxtyping import Float
 from ...base.kernels import kernel
 from ...rig.optics import Optics
 
-DELTA_M = 0.015  # For VSD a surface is visible up to this far behind the measured one.
-WIDTH_PX = 640.0  # MSPD is stated in pixels of a picture of this width.
+DELTA_M = 0.015  # In VSD, a surface is visible up to this distance behind the measured surface.
+WIDTH_PX = 640.0  # MSPD is given in pixels of a picture with this width.
 
 
 def rotation_translation(
@@ -24,14 +24,14 @@ def rotation_translation(
 ) -> tuple[float, float]:
     """Return the angle [rad] and distance [m] between poses, modulo the part's symmetry.
 
-    The angle and distance are for the symmetry motion with the smallest angle.
+    Both values are for the symmetry motion with the smallest angle.
 
     Args:
         middle_m: point of the part at which the distance is measured; None for its origin.
     """
     alike = T_true @ motions
     R = np.einsum("ij,nik->njk", T_estimate[:3, :3], alike[:, :3, :3])
-    # |R - 1| = 2 sqrt(2) sin(angle / 2) gives small angles exactly.
+    # |R - 1| = 2 sqrt(2) sin(angle / 2) is accurate for small angles.
     away = np.linalg.norm(R - np.eye(3), axis=(1, 2)) / np.sqrt(8.0)
     angle = 2 * np.arcsin(np.clip(away, 0, 1))
     best = int(np.argmin(angle))
@@ -48,7 +48,7 @@ def mssd(
 ) -> float:
     """Return the maximum symmetry-aware surface distance [m].
 
-    `min over motions S of max over vertices x of |T_estimate x - T_true S x|`.
+    It is `min over motions S of max over vertices x of |T_estimate x - T_true S x|`.
     """
     apart = T_estimate - T_true @ motions
     return _least_greatest(apart, np.ascontiguousarray(vertices_m, np.float64))
@@ -63,7 +63,7 @@ def mspd(
 ) -> float:
     """Return the maximum symmetry-aware projection distance, in pixels of a picture 640 wide.
 
-    As in BOP, the projection is by the camera matrix, without lens distortion. The distance is
+    The projection uses the camera matrix without lens distortion, as in BOP. The distance is
     infinite if a vertex is behind the camera at the estimated pose.
     """
     vertices = np.ascontiguousarray(vertices_m, np.float64)
@@ -83,11 +83,11 @@ def vsd(
 ) -> Float[np.ndarray, " t"]:
     """Return the visible surface discrepancy, 0 to 1, for each tolerance.
 
-    The three maps hold distances from the camera's centre to a surface, not z; NaN for no surface.
-    A surface is visible in a pixel if it is at most `DELTA_M` behind the measured surface, or if
-    nothing was measured. The estimate also counts as visible where the true surface is visible.
-    VSD is the share of wrong pixels among those in which a surface is visible: only one surface is
-    visible, or the distances differ by the tolerance or more. VSD is 1 if no surface is visible.
+    The three maps contain distances from the camera's centre to a surface, not z; NaN for none. A
+    surface is visible in a pixel if it is at most `DELTA_M` behind the measured surface, or if
+    nothing was measured. The estimate also counts as visible where the true surface is visible. VSD
+    is the share of wrong pixels among those with a visible surface: only one surface is visible, or
+    the distances differ by at least the tolerance. VSD is 1 if no surface is visible.
     """
     visible = _visible(true_m, measured_m)
     mine = _visible(estimate_m, measured_m) | (visible & np.isfinite(estimate_m))
@@ -109,7 +109,7 @@ def _visible(surface_m: np.ndarray, measured_m: np.ndarray) -> np.ndarray:
 
 @kernel(nogil=True, error_model="numpy")
 def _least_greatest(apart, vertex):
-    """Return the least over motions of the greatest vertex distance; skip poor motions early."""
+    """Return the minimum over motions of the maximum vertex distance; skip poor motions early."""
     least = np.inf
     for s in range(len(apart)):
         A, greatest = apart[s], 0.0

@@ -1,4 +1,4 @@
-"""Evaluation of a file of estimated poses against a dataset, and its output files."""
+"""Evaluate a file of estimated poses against a dataset, and write the results."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -32,12 +32,12 @@ FIGURES = (
     "translation_mm",
 )
 _SHARES = FIGURES[:5]
-_UNIT = 10.0  # In the same unit, estimates and parts differ in distance by at most this.
+_UNIT = 10.0  # largest ratio of the distances of estimates and parts if their units are the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseEvaluation:
-    """An evaluation of one file of poses: its subject, its settings and its results.
+    """An evaluation of one file of poses: the data, the protocol and the results.
 
     Attributes:
         seconds: median time per picture; NaN if the file has no times.
@@ -154,7 +154,7 @@ def _pose_row(
 def _median(
     of_picture: list[list[float]], times: Int[np.ndarray, "draws pictures"], scenes: int
 ) -> Interval:
-    """Return the median error with its interval; draws weight each picture by its scene."""
+    """Return the median error with its interval; a draw weights a picture by its scene."""
     values = np.array([x for errors in of_picture for x in errors])
     if not len(values):
         return Interval(value=float("nan"), low=float("nan"), high=float("nan"))
@@ -167,7 +167,7 @@ def _median(
 
 
 def _of_first_scanner(examples: Examples) -> dict[tuple[int, int], int]:
-    """Return pictures by scene and image; results in BOP's format do not name other scanners."""
+    """Return pictures by scene and image; BOP's result files cannot name other scanners."""
     sensors = [sensor for _, sensor, _ in examples.place_of.values()]
     return {
         (scene_id, image): picture
@@ -200,7 +200,7 @@ def _by_picture(
 
 
 def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: PictureTruth) -> None:
-    """Refuse poses if their distances from the camera suggest that the unit is not millimetres."""
+    """Refuse poses whose distances from the camera suggest a unit other than millimetres."""
     if not estimates:
         return
     estimated_m = np.median([np.linalg.norm(one.T_cam_part[:3, 3]) for one in estimates])
@@ -270,7 +270,7 @@ def write_poses(evaluation: PoseEvaluation, folder: Path) -> None:
 
 
 def poses_markdown(evaluation: PoseEvaluation) -> str:
-    """Return a Markdown sentence and a table with the figures."""
+    """Return a Markdown paragraph and a table with the figures."""
     time = (
         "" if np.isnan(evaluation.seconds) else f" {evaluation.seconds:.2f} s a picture (median)."
     )

@@ -1,7 +1,7 @@
-"""Counts of correct poses in each picture by BOP's rules.
+"""Count correct poses in each picture by BOP's rules.
 
-The sources are the same as in `pose_errors`. The counting follows section 2.3 of BOP 2020: if an
-object has n instances to find, its n estimates with the highest scores choose instances in the
+The sources are the same as in `pose_errors`. Counting follows section 2.3 of BOP 2020: if an object
+has n instances to find, its n estimates with the highest scores choose instances in descending
 order of their scores. An instance is to be found if at least 10 % of it is visible.
 """
 
@@ -18,12 +18,12 @@ from ...world.parts import Mesh, Symmetry
 from ...world.parts.symmetry import motions
 from .pose_errors import mspd, mssd, rotation_translation, vsd
 
-# These thresholds of correctness are from BOP 2020, section 2.4.
+# The thresholds of correctness are from BOP 2020, section 2.4.
 TAU = np.arange(1, 11) * 0.05  # VSD's tolerances as shares of the diameter
 THETA_VSD = np.arange(1, 11) * 0.05
 THETA_MSSD = np.arange(1, 11) * 0.05  # shares of the diameter
 THETA_MSPD_PX = np.arange(1, 11) * 5.0  # for a picture that is 640 px wide
-NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # a plain criterion in addition to BOP's
+NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # a simple criterion in addition to BOP's criteria
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,7 +31,7 @@ class PictureTruth:
     """Truth of one picture: the camera, the depth, and the poses of the parts.
 
     Attributes:
-        measured_m: measured z [m], NaN without depth.
+        measured_m: measured z [m]; NaN without depth.
         to_find: whether each instance is visible enough to count.
     """
 
@@ -45,7 +45,7 @@ class PictureTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """A part as scores need it: shape, diameter, middle and symmetry motions."""
+    """A part for scoring: shape, diameter, centre and symmetry motions."""
 
     vertices_m: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
@@ -56,7 +56,7 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Counts:
-    """Counts of correct estimates of one object in one picture, and the errors of estimates.
+    """Counts of correct estimates of one object in one picture, and the estimates' errors.
 
     Attributes:
         vsd: counts by tolerance and threshold; `mssd` and `mspd` are counts by threshold.
@@ -76,7 +76,7 @@ class Counts:
 
 
 def solid_of(mesh: Mesh, symmetry: Symmetry, diameter_m: float) -> Solid:
-    """Return a part for scoring; continuous symmetries are in steps as in BOP."""
+    """Return a part for scoring; continuous symmetries are discretised as in BOP."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = mesh.vertices_m[used].astype(np.float64)
     return Solid(
@@ -98,7 +98,7 @@ def count_picture(
         mine = [one for one in estimates if one.obj_id == obj_id]
         mine.sort(
             key=lambda one: -one.score
-        )  # A stable sort keeps equal scores in the file's order.
+        )  # A stable sort keeps the file's order of equal scores.
         candidates.append(_counted(truth, there, mine[: len(there)], solids[obj_id], obj_id))
     return candidates
 
@@ -137,7 +137,7 @@ def _counted(
 
 
 def matched(error: Float[np.ndarray, "e n"], threshold: float) -> list[tuple[int, int]]:
-    """Pair each estimate with the free instance of least error, if that is below `threshold`."""
+    """Pair each estimate with the free instance of least error, if it is below `threshold`."""
     free = np.ones(error.shape[1], bool)
     pairs = []
     for i, row in enumerate(error):

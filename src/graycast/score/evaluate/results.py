@@ -1,4 +1,4 @@
-"""Detections to judge: a file of COCO results, or a folder from `graycast detector find`."""
+"""Detections to evaluate: a file of COCO results, or a folder of `graycast detector find`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class DetectionRun:
     Attributes:
         path: path of the results.
         scene_ids: ids of the scenes in which the detector searched.
-        split: set of these scenes; `division` is the division of the dataset into sets.
+        split: name of the set of these scenes; `division` divides the dataset into such sets.
         ms_per_picture: milliseconds per picture, in the order of the scenes.
     """
 
@@ -36,7 +36,7 @@ class DetectionRun:
 
     @property
     def name(self) -> str:
-        """Name of the folder from `graycast detector find`, or of the file of results."""
+        """Name of the folder of `graycast detector find`, or of the file of results."""
         path = self.path.resolve()
         return path.parent.name if self.scene_ids is not None else path.name
 

@@ -1,12 +1,12 @@
-"""Average precision and recall, as COCO defines them, also for bootstrap resamples of the scenes.
+"""Average precision and recall as defined by COCO, also for bootstrap resamples of the scenes.
 
 A scene that is drawn twice counts as two scenes with the same content. Detections with equal scores
-are in the order of their scenes, and the copies of a scene come one after the other. If copies of a
+are in the order of their scenes, and the copies of a scene follow each other. If the copies of a
 detection were adjacent instead, draws would have longer runs of hits and of mistakes than the data,
 which would raise average precision.
 
 A hit raises precision and recall; a mistake lowers only precision. COCO's curve is the highest
-precision at each recall or above.
+precision at each recall or at any larger recall.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +21,8 @@ from ...dataset.detections import Detections
 from .labels import Labels
 from .matching import ClassMatches, Kind, Overlaps, match, overlaps
 
-MOST = 300  # A full bin has 255 parts of a class in a scene: COCO's 100 detections are too few.
-_AT_50, _AT_75 = 0, 5  # the indices of 0.50 and 0.75 in `THRESHOLDS`
+MOST = 300  # COCO's 100 detections per scene are too few: a full bin has 255 parts of a class.
+_AT_50, _AT_75 = 0, 5  # indices of 0.50 and 0.75 in `THRESHOLDS`
 RECALLS = np.linspace(0.0, 1.0, 101)  # as in COCO
 RECALLS.flags.writeable = False
 FIGURES = ("ap", "ap50", "ap75", "ar")
@@ -31,15 +31,15 @@ FIGURES = ("ap", "ap50", "ap75", "ar")
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
-    """The scores of detections; NaN if there is nothing to find.
+    """The scores of detections; each score is NaN if there is nothing to find.
 
     Attributes:
         ap: average precision, the mean over thresholds from 0.50 to 0.95 and over the classes.
         ap50, ap75: average precision at thresholds of 0.50 and 0.75, the mean over the classes.
         ar: recall (share of instances found), the mean over the same thresholds and classes.
         scene_ids: ids of the pictures, in the order of `matches`.
-        scene_of: scene of each picture; several views of a scene have the same scene.
-        matches: matches of each class, from which intervals and lists of mistakes are computed.
+        scene_of: scene of each picture; several views of a scene have the same number.
+        matches: matches of each class, from which intervals and mistakes are computed.
     """
 
     ap: float
@@ -147,7 +147,7 @@ def class_figures(
         times: number of times that each scene counts in each draw.
 
     Returns:
-        (average precision, recall of all detections); NaN for draws without instances to find.
+        Average precision, and recall of all detections; NaN for draws without instances to find.
     """
     scene, to_find, runs = matches.scene, matches.to_find, _runs(matches)
     often = times.astype(np.int64, order="C")
@@ -173,7 +173,7 @@ def _figures(hit, counted, scene, runs, to_find, times, recalls):
 
 @kernel()
 def _curve(hit, counted, runs, times, wanted, recalls, curve):
-    """Fill `curve` with precisions, and return the final recall; only hits add points to it."""
+    """Fill `curve` with the highest precision at each recall or above; return the final recall."""
     hits, mistakes, steps = 0, 0, 0
     most = times.sum()
     at_recall, at_precision = np.empty(most), np.empty(most)

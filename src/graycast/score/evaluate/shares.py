@@ -20,7 +20,7 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     middle = share + spread / 2
     half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of))
     low, high = (middle - half) / (1 + spread), (middle + half) / (1 + spread)
-    # With all or no hits, the ends are exact; rounding would exclude the share itself.
+    # With all or no hits, one end is exact; a rounding error would exclude the rate itself.
     return low if hits else 0.0, high if hits < of else 1.0
 
 
@@ -44,7 +44,7 @@ def roc_auc(score: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]) -> 
 
     The area is the probability that a success has a higher score than a failure; ties count half.
     It is NaN without successes or without failures. It equals Mann and Whitney's U (the rank sum
-    of the successes minus its smallest possible value), divided by the number of pairs.
+    of the successes minus its smallest possible value) divided by the number of pairs.
     """
     good = int(success.sum())
     bad = len(success) - good
@@ -61,7 +61,7 @@ def roc_auc_of_scenes(
     *,
     seed: int,
 ) -> Interval:
-    """Return the area under the ROC curve with an interval from resampled scenes."""
+    """Return the area under the ROC curve with its interval from resampled scenes."""
     ids, place = np.unique(scene, return_inverse=True)
     draws = []
     for times in draw_scenes(ids.tolist(), seed=seed) if len(ids) > 1 else ():

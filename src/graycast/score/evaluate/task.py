@@ -1,4 +1,4 @@
-"""Evaluation of stored detections against the labels of a stored dataset."""
+"""Evaluate stored detections against the labels of a stored dataset."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ from .scores import precision_curves
 
 _Either = TypeVar("_Either", Labels, Detections)
 TELLING = 0.005  # A note is given if the order of equal scores changes AP by at least this.
-_ONE_CLASS = 1  # All objects have this id if classes do not matter.
+_ONE_CLASS = 1  # object id of all instances if classes are ignored
 
 
 @public_value
@@ -37,7 +37,7 @@ _ONE_CLASS = 1  # All objects have this id if classes do not matter.
 class Task:
     """An evaluation to run: the results, the dataset, and how to compare them.
 
-    If `split` or `division` is None, the value in the results is used. `one_class` ignores classes.
+    If `split` or `division` is None, it is read from the results. `one_class` ignores classes.
     """
 
     results: Path
@@ -102,7 +102,7 @@ def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evalua
 
 
 def _sets(task: Task, run: DetectionRun) -> list[Examples]:
-    """Return the set to judge, or all sets of an export if the results name no set."""
+    """Return the set to evaluate, or all sets of an export if the results name no set."""
     split = task.split or run.split
     if not (task.dataset / RECORD).is_file():
         division = task.division or run.division
@@ -114,7 +114,7 @@ def _sets(task: Task, run: DetectionRun) -> list[Examples]:
 
 
 def _scene_ids(task: Task, run: DetectionRun, of_scene: Mapping[int, Examples]) -> tuple[int, ...]:
-    """Return the ids of the detector's scenes or, if the task names a set, of all its scenes."""
+    """Return the ids of the detector's scenes, or of all scenes of the set that the task names."""
     if run.scene_ids is None or task.split is not None:
         return tuple(of_scene)
     if odd := set(run.scene_ids) - set(of_scene):
@@ -143,7 +143,7 @@ def _labels(
 
 
 def as_one_class(one: _Either) -> _Either:
-    """Return labels or detections with the same class for all parts."""
+    """Return labels or detections with the same class for all instances."""
     return replace(one, obj_id=np.full(len(one), _ONE_CLASS))
 
 
@@ -178,9 +178,9 @@ def notes(judgements: Sequence[Judgement]) -> Iterator[str]:
 
 
 def ap_of_any_order(matches: Mapping[int, ClassMatches]) -> tuple[float, float]:
-    """Return AP with mistakes before hits of equal scores, and AP with hits before mistakes.
+    """Return AP if mistakes precede hits of equal scores, and AP if hits precede mistakes.
 
-    The matches are not repeated, although another order within a picture could change them.
+    The detections are not matched again, although another order in a picture could change this.
     """
     worst, best = (
         [float(precision_curves(_sorted(one, sign)).mean()) for one in matches.values()]

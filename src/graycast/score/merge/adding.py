@@ -1,8 +1,8 @@
-"""Share of the parts' surface that each view measures, and the order in which views add most.
+"""Find the share of the parts' surface that each view measures, and the best order of views.
 
 The surface consists of the parts' models at their true poses, as points for equal areas. A point is
-visible if at least one camera sees it. It is measured by a view if the view sees it and has a
-correct depth at its pixel.
+visible if at least one camera sees it. A view measures a point if it sees the point and has a
+correct depth at the point's pixel.
 """
 
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ from ...world.parts.sampling import spread_points
 from .fuse import HIDDEN, OUTSIDE
 from .view import MeasuredView, Points
 
-WRONG_M = 2e-3  # A depth farther from the truth is wrong.
-WRONG = 252  # A value in addition to a dataset's reasons: the depth exists, but is wrong.
-# A model may differ from the truth by this in a pixel: surfaces curve, and parts penetrate others.
+WRONG_M = 2e-3  # Depth that deviates more from the truth is wrong.
+WRONG = 252  # number in addition to the dataset's reasons: the depth exists, but is wrong
+# tolerance between a model and the true depth in a pixel; surfaces curve, and parts penetrate
 _SLACK_M = 0.5e-3
-_SLOPE = 0.2  # The tolerance grows with the size of a pixel on the surface.
+_SLOPE = 0.2  # growth of this tolerance with the size of a pixel on the surface
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewTruth:
-    """Ground truth of a simulated view: z [m], NaN without a surface; instance, -1 for no part."""
+    """Truth of a simulated view: z [m] (NaN without a surface), instance (-1 for no part)."""
 
     depth_m: Float[np.ndarray, "h w"]
     instance: Int[np.ndarray, "h w"]
@@ -56,7 +56,7 @@ class SurfacePoints:
 def surface_of(
     meshes: Sequence[Mesh], T_world_part: Sequence[Float[np.ndarray, "4 4"]], *, points: int
 ) -> SurfacePoints:
-    """Return points spread over all instances in proportion to their areas, without randomness."""
+    """Return points that are spread evenly over all instances, without randomness."""
     area = [float(mesh.face_area_m2.sum()) for mesh in meshes]
     place, normal, instance = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     for number, (mesh, T) in enumerate(zip(meshes, T_world_part, strict=True)):
@@ -74,7 +74,7 @@ def surface_of(
 def why_not(
     surface: SurfacePoints, view: MeasuredView, points: Points, truth: ViewTruth
 ) -> UInt8[np.ndarray, " n"]:
-    """Return why a view lacks each point: its reason, or HIDDEN, OUTSIDE, WRONG; 0 if it has depth.
+    """Return the reason why a view lacks each point (HIDDEN, OUTSIDE, WRONG, ...); 0 for depth.
 
     A point is visible if the truth at its pixel has the same instance and is on the point's plane.
     """
@@ -83,7 +83,7 @@ def why_not(
     at = transform_points(T_cam_world, surface.point_m)
     row_column, inside = pixels_of(camera, at)
     pixel = tuple(row_column.T)
-    # The true point of the pixel is on the same ray as the measured one.
+    # The pixel's true point is on the same ray as its measured point.
     eye, toward = view.T_world_cam[:3, 3], points.toward[pixel]
     along_m = truth.depth_m[pixel] / -(toward @ T_cam_world[2, :3])
     off_m = ((eye - along_m[:, None] * toward - surface.point_m) * surface.normal).sum(axis=-1)
@@ -100,8 +100,8 @@ def why_not(
 def best_order(has: Bool[np.ndarray, "views n"]) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the order in which each view adds most to the views before it, and the points added.
 
-    Among views that add equally many points, the first is taken. No choice of equally many views
-    has more than 1 / (1 - 1/e) = 1.58 times as many points.
+    If several views add equally many points, the first of them is taken. No set of equally many
+    views has more than 1 / (1 - 1/e) = 1.58 times as many points.
 
     Source: G. Nemhauser et al., "An analysis of approximations for maximizing submodular set
     functions", 1978.

@@ -1,12 +1,12 @@
-"""Fusion of the views of a scene into one cloud with one point for each place on the surface.
+"""Fuse the views of a scene into one cloud with one point for each place on the surface.
 
-Each point is projected into every other view. At that pixel the other view measured the same
-surface (the views agree), a surface before the point (which hides it), a surface behind the point
-(the view saw through it), or nothing. Measurements that agree are averaged along the normal with
-their inverse variances as weights, so N equal views reduce sigma to sigma / sqrt(N).
+Each point is projected into every other view. At that pixel, the other view measured the same
+surface (the views agree), a surface in front of the point (which hides it), a surface behind the
+point (the view saw through it), or nothing. Measurements that agree are averaged along the normal,
+weighted by their inverse variances, so N equal views reduce sigma to sigma / sqrt(N).
 docs/explanation/merging.md has the equations.
 
-Leaves out: errors that views share (from calibration, or from light between parts), which do not
+Leaves out: errors that views share (from calibration, or from interreflections), which do not
 average out and are not in sigma; errors of the views' poses, which are checked but not corrected.
 """
 
@@ -21,24 +21,24 @@ from .looking import ViewAgreement, look
 from .view import MeasuredView, Points, points_of
 from .view_poses import pose_doubts
 
-# Reasons in addition to a dataset's, for places without a point in the first view: the view
+# Numbers in addition to the dataset's reasons, for places without a point in the first view: it
 # measured something behind the place or in front of it, or the place is outside its picture.
 THROUGH, HIDDEN, OUTSIDE = 253, 254, 255
-MOST = 250  # the most views in a merge, because view numbers have eight bits
+MOST = 250  # largest number of views in a merge, because view numbers have eight bits
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FusedCloud:
-    """Points of a scene in the world, in the order of their views and pixels.
+    """Points of a scene in the world frame, in the order of their views and pixels.
 
     Attributes:
-        normal: surface normal, towards the camera of `view`; without a plane, the direction to it.
+        normal: surface normal towards the camera of `view`; the direction to it without a plane.
         sigma_m: standard deviation along the normal.
         view: index of the view from which the point comes.
         pixel: row and column of the point in that view.
         views: number of views that measured the place, including `view`.
-        against: number of views that saw through the point, at most the number that confirm it.
+        against: number of views that saw through the point; at most as many as confirm it.
         first_reason: reason why the first view has no point there: the number of a reason, or
             THROUGH, HIDDEN or OUTSIDE; 0 if the first view has a point.
     """
@@ -63,7 +63,7 @@ class FusedCloud:
 class Fused:
     """A fused cloud, with counts of the measured, confirmed and rejected pixels of each view.
 
-    `doubts` are sentences about views that do not agree with other views; see `pose_doubts`.
+    `doubts` are sentences about views that contradict other views; see `pose_doubts`.
     """
 
     cloud: FusedCloud
@@ -115,7 +115,7 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
 def _votes(
     answers: Mapping[int, ViewAgreement], points: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return for each point the numbers of other views that confirm it and that saw through it."""
+    """Return how many other views confirm each point, and how many saw through it."""
     confirmed, against = np.zeros((2, points), dtype=np.int64)
     for answer in answers.values():
         confirmed += answer.met.agrees

@@ -11,10 +11,10 @@ from ...base.frames import inverse, transform_points
 from ...rig.optics import pixels_of
 from .view import LEAST_COSINE, MeasuredView, Points
 
-SIGMAS = 4.0  # Views of one surface may differ by this many standard deviations.
-_TURNED = 0.5  # Normals that differ by more than 60 degrees (this cosine) belong to two surfaces.
-_ASIDE = 1.0  # Another view's point may replace this one up to this many pixels away.
-# Largest deviation from the plane per metre of lateral distance; the second is for pixels that have
+SIGMAS = 4.0  # largest difference of two views of one surface, in standard deviations
+_TURNED = 0.5  # Normals that differ by more than 60 degrees (this cosine) are of two surfaces.
+_ASIDE = 1.0  # largest lateral distance in pixels at which points of two views are the same place
+# largest deviation from the plane per metre of lateral distance; the second is for pixels that have
 # no plane.
 _SLOPE, _UNKNOWN_SLOPE = 0.2, 1.0
 
@@ -48,8 +48,8 @@ class ViewAgreement:
 
     Attributes:
         met: the points as projected into the view, with their agreement.
-        through: whether all that the view measured around the point is behind it.
-        before: whether the view's surface is before the point.
+        through: whether all that the view measured around the point is behind the point.
+        before: whether the view's surface is in front of the point.
     """
 
     met: ProjectedPoints
@@ -79,8 +79,8 @@ def meet(own: Points, view: MeasuredView, points: Points) -> ProjectedPoints:
 def look(own: Points, view: MeasuredView, points: Points) -> ViewAgreement:
     """Return the relation of a view to another view's points.
 
-    A view sees through a point if all nine pixels around its position measured a surface behind
-    it, and the middle pixel measured a plane behind it.
+    A view sees through a point if all nine pixels around the point's projection measured a surface
+    behind it, and the central pixel measured a plane behind it.
     """
     met = meet(own, view, points)
     there, other = met.there, met.inside & ~met.agrees
@@ -95,7 +95,7 @@ def look(own: Points, view: MeasuredView, points: Points) -> ViewAgreement:
 
 
 def _mean_normal(own: Points, there: Points) -> Float[np.ndarray, "n 3"]:
-    """Return the mean of both normals, which is perpendicular to a chord on planes and spheres.
+    """Return the mean of both normals; on planes and spheres, it is normal to their chord.
 
     If only one of the points has a plane, return its normal.
     """
@@ -130,10 +130,10 @@ def _over_plane(own: Points, there: Points) -> Bool[np.ndarray, " n"]:
     height_m = (apart * there.normal).sum(axis=-1)
     aside_m = np.linalg.norm(apart - height_m[:, None] * there.normal, axis=-1)
     spread_m = np.sqrt(own.variance_along(there.normal) + there.variance_along(there.normal))
-    # Most of the lateral distance is along the ray between both, on which no surface can bend.
+    # Most of the lateral distance is along the ray between both, on which no surface can curve.
     return height_m > SIGMAS * spread_m + _SLOPE * np.minimum(aside_m, there.spacing_m)
 
 
 def _nearest_m(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Return the least depth in the 3 x 3 pixels around each pixel; 0 if a depth is missing."""
+    """Return the smallest depth of the 3 x 3 pixels around each pixel; 0 if one is missing."""
     return ndimage.minimum_filter(np.nan_to_num(depth_m, nan=0.0), 3, mode="constant", cval=0.0)

@@ -1,4 +1,4 @@
-"""Merging of a dataset: a cloud for each scene, and the share of surface that each view adds."""
+"""Merge a dataset: a cloud for each scene, and the share of the surface that each view adds."""
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
@@ -118,7 +118,7 @@ def merged_ply(cloud: FusedCloud) -> bytes:
 
 
 def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
-    """Return the dataset, and the pictures of each scene, or of the scene that `source` names."""
+    """Return the dataset and the pictures of each scene, or only of the scene `source`."""
     one = source.name.isdecimal() and not (source / CLAIM).exists()
     stored = open_dataset(source.parent.parent if one else source)
     shots = [

@@ -1,13 +1,13 @@
-"""Views of a stored scene in the form that merging needs, with the noise of their depths.
+"""Read the views of a stored scene in the form that merging needs, with the noise of their depths.
 
 A dataset stores no standard deviation of depth. Depth is computed from a projector position, so its
-noise is the noise of the position times the derivative of depth. If code maps are stored, they have
-the decoder's noise. Otherwise the noise is measured, for groups of pixels with similar light, from
-the distances between pixels and the planes through their neighbours.
+noise is the noise of the position times the derivative of depth. If code maps are stored, they
+contain the decoder's noise. Otherwise the noise is estimated, for groups of pixels with similar
+light, from the distances between pixels and the planes through their neighbours.
 
 Leaves out: filters that average neighbours. They correlate the noise of neighbouring pixels, which
-distances from a plane do not show. With such filters the measured sigma is too small, and the sigma
-from code maps is too large.
+distances from a plane do not reveal. With such filters, the estimated sigma is too small, and the
+sigma from code maps is too large.
 """
 
 from dataclasses import dataclass
@@ -34,12 +34,12 @@ from .adding import SurfacePoints, ViewTruth, surface_of
 from .view import MeasuredView, planes_of
 
 SURFACE_POINTS = 20000  # number of points on all parts of a scene
-_GROUPS, _LEAST = 8, 400  # Groups of similar light, and the least number of pixels of each.
+_GROUPS, _LEAST = 8, 400  # largest number of groups, and least number of pixels of each group
 _NO_PLANES_PX = (
     12**-0.5
-)  # Without a plane to measure noise, a position is known to one projector pixel.
-_CENTRE = 24 / 25  # A plane through 25 pixels leaves this share of the middle pixel's variance.
-_NUDGE = 1e-4  # The slope of depth is taken over this share of the depth.
+)  # standard deviation of a position that is known to one pixel, if there are no planes
+_CENTRE = 24 / 25  # share of a pixel's variance in its distance from the plane through 25 pixels
+_NUDGE = 1e-4  # step for the numerical derivative of depth, as a share of the depth
 
 
 @final
@@ -57,7 +57,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
     """Read one picture of a scene.
 
     Raises:
-        DatasetError: the dataset is of real pictures, or a file is missing or damaged.
+        DatasetError: the dataset holds real pictures, or a file is missing or damaged.
     """
     if stored.real:
         raise DatasetError(
@@ -86,7 +86,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
 
 
 def read_surface(models: dict[int, StoredModel], shot: StoredScene) -> SurfacePoints:
-    """Return points on a scene's parts at their true poses, given one of its pictures.
+    """Return points on the parts of a scene at their true poses, from one of its pictures.
 
     Raises:
         DatasetError: a file is missing or damaged.
@@ -127,7 +127,7 @@ def _sigma_m(
 
 
 def depth_slope_m(depth_m: Float[np.ndarray, "h w"], rig: Rig) -> Float[np.ndarray, "h w"]:
-    """Return the derivative of depth by the projector's coordinate [m/px]; NaN without depth."""
+    """Return the derivative of depth by the projector coordinate [m/px]; NaN without depth."""
     point_m = points(rig.camera, depth_m)
     axis = 0 if triangulation_axis(rig) == "column" else 1
     place = [
@@ -144,7 +144,7 @@ def measured_noise_px(
     light: Num[np.ndarray, "h w"],
     rig: Rig,
 ) -> Float[np.ndarray, "h w"]:
-    """Return each pixel's noise [projector px], measured in groups of pixels with similar light.
+    """Return each pixel's noise [projector px], estimated in groups of pixels of similar light.
 
     Args:
         light: modulation in any unit.
@@ -154,7 +154,7 @@ def measured_noise_px(
     on_plane = np.isfinite(off_px)
     if not on_plane.any():
         return np.full(depth_m.shape, _NO_PLANES_PX)
-    order = np.argsort(light[on_plane], kind="stable")  # groups of equal size, the darkest first
+    order = np.argsort(light[on_plane], kind="stable")  # The groups have equal size, darkest first.
     groups = np.array_split(order, np.clip(len(order) // _LEAST, 1, _GROUPS))
     strength = [float(np.median(light[on_plane][group])) for group in groups]
     off = [float(np.median(off_px[on_plane][group])) for group in groups]

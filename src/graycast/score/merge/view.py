@@ -1,4 +1,4 @@
-"""Measurements of one view in the form that fusion needs: points, normals and noise."""
+"""The measurement of one view in the form that fusion needs: points, normals and noise."""
 
 import math
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from ...base.frames import transform_points
 from ...camera.crop import crop
 from ...rig.optics import Optics, picture_rays
 
-_WINDOW_PX = 2  # half the width of the windows in which planes are fitted
+_WINDOW_PX = 2  # half width of the windows in which planes are fitted
 LEAST_COSINE = 0.2  # On steeper surfaces, the error of the normal exceeds the noise.
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredView:
-    """Depth map of one picture, with the camera's pose.
+    """Depth map of one picture, with the camera and its pose.
 
     Attributes:
         name: name of the view in tables.
@@ -52,7 +52,7 @@ class MeasuredView:
 class Points:
     """Points in the world frame for all pixels of a view (as a map), or for a list of pixels.
 
-    Points are NaN without a measurement.
+    The points of pixels without a measurement are NaN.
 
     Attributes:
         pixel: row and column of each point.
@@ -60,7 +60,7 @@ class Points:
         normal: surface normal towards the camera; equal to `toward` if no plane fits.
         plane: whether a plane fits the neighbouring pixels.
         sigma_m: standard deviation along the ray.
-        spacing_m: distance at the point between the rays of neighbouring pixels.
+        spacing_m: distance between the rays of neighbouring pixels, at the point.
     """
 
     pixel: Int[np.ndarray, "*n 2"]
@@ -124,7 +124,7 @@ def points_of(view: MeasuredView) -> Points:
 def planes_of(
     depth_m: Float[np.ndarray, "h w"], camera: Optics
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-    """Return normals in the camera frame, and z of the plane through each pixel's neighbours [m].
+    """Return normals in the camera frame, and z [m] of the plane through each pixel's neighbours.
 
     Both are NaN if too few neighbours are on one plane with the pixel.
     """

@@ -1,4 +1,4 @@
-"""Figures of a scene's views: measured surface, added surface, and errors of the cloud."""
+"""Figures of a scene's views: measured surface, added surface, and errors of the fused cloud."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class SurfaceCoverage:
 
 
 def surface_coverage(surface: SurfacePoints, views: Sequence[StoredView]) -> SurfaceCoverage:
-    """Return the coverage of the surface by all views, without points that no camera sees."""
+    """Return the coverage of the surface by all views, for the points that a camera sees."""
     why = np.stack([why_not(surface, v.view, points_of(v.view), v.truth) for v in views])
     visible = ((why != HIDDEN) & (why != OUTSIDE)).any(axis=0)
     return SurfaceCoverage(why=why[:, visible], of=why.shape[1])
@@ -84,7 +84,7 @@ def surface_figures(
 def cloud_figures(
     fused: Fused, views: Sequence[StoredView], reason_name: dict[int, str]
 ) -> dict[str, Any]:
-    """Return figures of the fused cloud, with errors along the normals by number of views."""
+    """Return figures of the fused cloud; errors are along the normals, by number of views."""
     cloud = fused.cloud
     error_m = cloud_errors_m(cloud, views)
     counts = sorted(set(cloud.views.tolist()))
@@ -126,7 +126,7 @@ def cloud_errors_m(cloud: FusedCloud, views: Sequence[StoredView]) -> Float[np.n
 def _noise(
     sigma_m: Float[np.ndarray, " n"], error_m: Float[np.ndarray, " n"]
 ) -> dict[str, float | int | None]:
-    """Return stated and true sigma; the latter is half the range of the errors' middle 68.27 %."""
+    """Return stated and true sigma; true sigma is half the range of the errors' middle 68.27 %."""
     known = np.isfinite(error_m)
     figures: dict[str, float | int | None] = {
         "points": len(sigma_m),

@@ -1,12 +1,12 @@
-"""Checks of the views' poses: agreement on common surfaces, and likely mistakes in wrong poses.
+"""Check the views' poses: agreement on common surfaces, and likely mistakes in wrong poses.
 
 The poses of real views come from a robot and a hand-eye calibration. Points of one view are
-compared with another view, and the smallest motion that moves them onto its surface is fitted by
-robust least squares of the distances along the normals. Directions that the common surface does not
+compared with another view. The smallest motion that moves them onto its surface is fitted by robust
+least squares of the distances along the normals. Directions that the common surface does not
 determine (such as sideways on a plane) are left out. If the motion is larger than a scanner's bias
 can be, a pose is wrong. If views hardly agree anywhere, the usual mistakes in a pose are tried.
 GICP in the library small-gicp finds a shift of 5 mm with an error of 0.2 mm. But if a view's pose
-is inverted, it moves the view by 20 mm onto the floor of another view and hides this mistake.
+is inverted, GICP moves the view by 20 mm onto another view's floor, which hides this mistake.
 
 Source: Y. Chen, G. Medioni, "Object modelling by registration of multiple range images", 1992
 (distances to planes).
@@ -26,14 +26,14 @@ from ...base.robust import robust_sigma
 from .looking import SIGMAS, meet
 from .view import MeasuredView, Points, points_of
 
-POINTS = 4000  # Number of points of a view that are looked up in another.
-LEAST_POINTS = 200  # A verdict needs this many points on planes that both views measure.
-# In each step, a point may deviate by this share of the depth and by 4 sigma.
+POINTS = 4000  # number of a view's points that are compared with another view
+LEAST_POINTS = 200  # least number of compared points on planes for a conclusion
+# largest deviation of a point in each step, as a share of the depth and in addition to 4 sigma
 GATES = (0.02, 0.02, 0.01, 0.01, 0.005, 0.005, 0.0025, 0.0025)
-ALIGNED = 0.7  # Two normals of one surface have a larger cosine between them.
+ALIGNED = 0.7  # least cosine between two normals of one surface
 DETERMINED = 1e-4  # largest standard deviation of a determined direction, as a share of depth
-OFF = 4e-4  # largest motion of views that agree, as a share of depth; simulated ones reach 1e-4
-LEAST_SHARE = 0.3  # least share of common points of two correct views on one surface
+OFF = 4e-4  # largest motion of views that agree, as a share of depth; simulated views reach 1e-4
+LEAST_SHARE = 0.3  # least share of compared points on one surface if both poses are correct
 
 
 @final
@@ -65,7 +65,7 @@ class Agreement:
 
 
 def pose_doubts(views: Sequence[MeasuredView], points: Sequence[Points]) -> tuple[str, ...]:
-    """Return sentences that name the views that disagree with other views, and the remedies."""
+    """Return sentences about the views that disagree with other views, with remedies."""
     pairs = agreements(views, points)
     lonely = [i for i in range(len(views)) if not any(pairs[p].agrees for p in pairs if i in p)]
     if len(views) < 2 or not lonely:
@@ -105,7 +105,7 @@ def _differs(
     points: Sequence[Points],
     pairs: Mapping[tuple[int, int], Agreement],
 ) -> str:
-    """Return a sentence about a view that agrees with no other view, although other views agree."""
+    """Return a sentence about a view that agrees with no other view, although other views do."""
     mine = {pair: one for pair, one in pairs.items() if i in pair}
     pair, best = max(mine.items(), key=lambda item: (item[1].meets, item[1].points))
     if best.meets:
@@ -224,8 +224,8 @@ def _least_squares(
 ) -> Float[np.ndarray, "6"]:
     """Return a Cauchy-weighted least-squares solution in the directions that points determine.
 
-    Such a direction is known to `determined_m`. The caller begins with a wide kernel, because a
-    sideways shift shows only on slopes, which would be outliers next to a flat floor.
+    A direction is determined to a standard deviation of `determined_m`. The caller begins with a
+    wide kernel: a sideways shift shows only on slopes, which are outliers next to a flat floor.
     """
     spread_m = float(robust_sigma(offset_m - np.median(offset_m)))
     noise_m2 = np.maximum(variance_m2, spread_m**2)

@@ -1,4 +1,4 @@
-"""Certificate of a virtual camera: flatness, spheres, noise, focus, as a metrology lab measures."""
+"""Certificate of a virtual scanner with the measurements of a metrology laboratory."""
 
 from .certificate import Certificate, Scope
 from .certify import certify

@@ -1,7 +1,7 @@
 """Artefacts to measure (planes, spheres and ball bars), and their positions in a rig's volume.
 
 All positions are in the camera frame. A point is in the volume if the camera sees it, the projector
-lights it, and its depth is in the working range.
+illuminates it, and its depth is in the working range.
 
 Leaves out: holders and fixtures. The artefacts are perfect diffusers and float in the dark.
 """
@@ -19,22 +19,22 @@ from ...rig.pair import Rig
 from ...world.parts import Material
 from ...world.scene import Quad, Sphere
 
-EDGE_PX = 2.0  # distance of artefacts from the edges of both pictures
-RANGE_MARGIN = 0.03  # share of the range that stays free at both ends, because of noise
-DEPTHS = 41  # The common field is searched at this many depths.
+EDGE_PX = 2.0  # least distance of artefacts from the edges of both pictures
+RANGE_MARGIN = 0.03  # share of the working range that stays free at both ends, because of noise
+DEPTHS = 41  # number of depths at which the common field is searched
 FIELD_GRID_PX = (48, 64)
 FACING_POINTS = 400  # number of points on a sphere, of which about half face the camera
-CLEARANCE = 1.1  # distance of spheres as a multiple of the sum of their angular radii
-SHRINKING = np.arange(1.0, -0.01, -0.05)  # A sphere moves towards the middle until it fits.
-BAR_SHARES = np.arange(0.6, 0.09, -0.02)  # shares of the volume's diagonal
-PLANE_HALF = 8.0  # half the edge of a plane as a multiple of its depth: wider than both fields
+CLEARANCE = 1.1  # least angle between spheres, as a multiple of the sum of their angular radii
+SHRINKING = np.arange(1.0, -0.01, -0.05)  # scales that move a sphere to the middle until it fits
+BAR_SHARES = np.arange(0.6, 0.09, -0.02)  # tried lengths of bars, as shares of the diagonal
+PLANE_HALF = 8.0  # half the edge of a plane as a multiple of its depth, so that it fills the fields
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Volume:
     """The working volume: the depths at which both devices have a common field, and its size.
 
-    `diagonal_m` is the space diagonal of the smallest box, along the camera's axes, around the
+    `diagonal_m` is the diagonal of the smallest box along the camera's axes that contains the
     common fields at all depths.
     """
 
@@ -43,7 +43,7 @@ class Volume:
     diagonal_m: float
 
     def depth_m(self, share: float) -> float:
-        """Return the depth at a share of the range without margins: 0 is near, 1 is far."""
+        """Return the depth at a share of the range between the margins; 0 is near, 1 is far."""
         span_m = self.far_m - self.near_m
         return self.near_m + span_m * (RANGE_MARGIN + share * (1 - 2 * RANGE_MARGIN))
 
@@ -94,7 +94,7 @@ def common_rectangle_m(
 
 
 def in_view(rig: Rig, point: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
-    """Return whether a point is in the fields of camera and projector; depth is not checked."""
+    """Return whether points are in the fields of camera and projector; depth is not checked."""
     in_camera = _in_picture(project(rig.camera, point), rig.camera)
     lit = project(rig.projector, transform_points(rig.T_proj_cam, point))
     return in_camera & _in_picture(lit, rig.projector)
@@ -103,11 +103,11 @@ def in_view(rig: Rig, point: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"
 def plane(z_m: float, *, tilt_rad: float, azimuth_rad: float, material: Material) -> Quad:
     """Return a plane through (0, 0, z) whose front faces the camera.
 
-    At tilt 0 it is perpendicular to the camera's axis. It is tilted about the direction in the
-    x-y plane at `azimuth_rad` from x: azimuth 0 tilts about x; pi is the opposite tilt.
+    At tilt 0, it is perpendicular to the camera's axis. It is tilted about the direction in the x-y
+    plane at `azimuth_rad` from x. Azimuth 0 tilts it about x; azimuth pi is the opposite tilt.
     """
     axis = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad), 0.0])
-    across = np.cross(axis, [0.0, 0.0, 1.0])  # in the facing plane, perpendicular to the axis
+    across = np.cross(axis, [0.0, 0.0, 1.0])  # in the untilted plane, perpendicular to the axis
     sloped = math.cos(tilt_rad) * across + math.sin(tilt_rad) * np.array([0.0, 0.0, 1.0])
     half_m = PLANE_HALF * z_m
     return Quad(
@@ -121,7 +121,7 @@ def plane(z_m: float, *, tilt_rad: float, azimuth_rad: float, material: Material
 def sphere_centre_m(
     rig: Rig, volume: Volume, at: tuple[float, float, float], radius_m: float
 ) -> Float[np.ndarray, "3"]:
-    """Return the centre of a sphere in the volume, as near to a wanted position as possible.
+    """Return the centre of a sphere in the volume, as close to a wanted position as possible.
 
     Args:
         at: wanted position: -1 to 1 across the field (u, v), and 0 (near) to 1 (far) in depth.
@@ -186,7 +186,7 @@ BAR_DIRECTIONS = {
 
 
 def ball_bars(rig: Rig, volume: Volume, *, radius_m: float) -> tuple[BallBar, ...]:
-    """Return the longest ball bar that fits in seven positions about the volume's middle.
+    """Return the longest ball bar that fits in all seven positions about the volume's centre.
 
     Raises:
         ValueError: no length down to a tenth of the volume's diagonal fits.
@@ -229,7 +229,7 @@ def clear(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> bool
 
 
 def grouped(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> list[list[int]]:
-    """Return groups of spheres that can be in one scene, so that few scenes must be rendered.
+    """Return groups of spheres that can share a scene, so that few scenes are rendered.
 
     Each sphere joins the first scene with spheres at its depth (for one exposure) in which no
     sphere hides another.
@@ -249,7 +249,7 @@ def grouped(rig: Rig, centre_m: Float[np.ndarray, "n 3"], radius_m: float) -> li
 def spheres(
     centre_m: Float[np.ndarray, "n 3"], radius_m: float, material: Material
 ) -> tuple[Sphere, ...]:
-    """Return surfaces of spheres with equal radii for a scene."""
+    """Return spheres of equal radii as surfaces for a scene."""
     return tuple(
         Sphere(center_m=tuple(centre.tolist()), radius_m=radius_m, material=material)
         for centre in centre_m
@@ -268,5 +268,5 @@ def _in_picture(pixel: Float[np.ndarray, "*n 2"], optics) -> Bool[np.ndarray, "*
     size = np.array([optics.width_px, optics.height_px])
     slack = 1e-6
     low, high = EDGE_PX - slack, size - 1 - EDGE_PX + slack
-    with np.errstate(invalid="ignore"):  # NaN: where the lens model ends
+    with np.errstate(invalid="ignore"):  # Outside the range of the lens model, pixels are NaN.
         return np.all((pixel >= low) & (pixel <= high), axis=-1)

@@ -15,7 +15,7 @@ class Scope:
     The artefacts are `distances` facing planes from near to far, planes tilted by `tilts_deg` about
     the baseline, `spheres` for probing, and the ball bar in its first `bars` positions. All are
     perfect diffusers with the reflectance `albedo`. Light is traced with `samples` paths per pixel
-    and `depth` vertices per path; a depth of 1 is direct light only.
+    and `depth` vertices per path; a depth of 1 means direct light only.
     """
 
     distances: int = 5
@@ -52,12 +52,12 @@ class PlaneResult:
     """Figures of one plane in one pose.
 
     `flatness_m` is the range of signed distances from the best-fit plane, `std_m` their standard
-    deviation, `offset_m` the median of measured minus true depth; these use the whole common field.
-    Noise, error, sigma, spacing and modulation use its middle. `noise_m` is the standard deviation
-    of depth from shot to shot (NaN for a single capture). `error_m` is the standard deviation of
-    measured minus true depth over the pixels of one shot. Unlike `noise_m`, it contains fixed
-    errors, such as those from a device's raster, and is comparable with the scanner's `sigma_m`.
-    `exposures_s` are the exposure times that are merged.
+    deviation, and `offset_m` the median of measured minus true depth, all over the common field.
+    The other figures use the middle of the field. `noise_m` is the standard deviation of depth from
+    shot to shot (NaN for a single capture). `error_m` is the standard deviation of measured minus
+    true depth over the pixels of one shot. Unlike `noise_m`, it contains fixed errors, such as
+    those from a device's raster, and is comparable with the scanner's `sigma_m`. `exposures_s` are
+    the exposure times that are merged.
     """
 
     name: str
@@ -103,9 +103,9 @@ class SpacingResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlurResult:
-    """Radius of the blur disc of a point on the camera's axis, in each device's own pixels.
+    """Radius of the blur disc of a point on the camera's axis, in pixels of each device.
 
-    The radius is the closed form `optics.blur_radius_px`.
+    The radius is the closed form in `optics.blur_radius_px`.
     """
 
     z_m: float
@@ -115,7 +115,7 @@ class BlurResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """Accuracy of a virtual camera; the docs and `sheet` explain how each number is measured.
+    """Accuracy of a virtual scanner; the docs and `sheet` explain how each number is measured.
 
     `deviation_m` is the signed distance of the middle plane from its best fit, averaged over blocks
     of pixels; a plot shows it, and the JSON omits it.
@@ -158,7 +158,7 @@ class Certificate:
 
     @property
     def summary(self) -> dict[str, float]:
-        """Figures for a datasheet; each error is the largest over all positions, with its sign."""
+        """Figures for a datasheet; errors are the largest over all positions, with their signs."""
 
         def worst(values: list[float]) -> float:
             return max(values, key=abs)

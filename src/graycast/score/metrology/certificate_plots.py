@@ -1,4 +1,4 @@
-"""The plots of a certificate."""
+"""Plots of a certificate."""
 
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, s
 from .certificate import Certificate
 
 DEPTH_COLORS = ("#5aa9c7", ACCENT, "#0a3d56")
-MAP_SIGMAS = 3.0  # The colours span this many of the plane's standard deviations.
+MAP_SIGMAS = 3.0  # limit of the colour scale, as a multiple of the plane's standard deviation
 
 
 def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:
@@ -151,7 +151,7 @@ def _focus(certificate: Certificate) -> Figure:
 
 
 def _short(name: str) -> str:
-    """Return a short form of a frame's name for the axis; frames for columns need no prefix."""
+    """Return a short form of a frame's name for the axis; columns need no prefix."""
     for long, short in (
         ("column_", ""),
         ("row_", "row "),

@@ -1,4 +1,4 @@
-"""Certification of a virtual scanner by scans of virtual artefacts all over its volume."""
+"""Certify a virtual scanner by scans of virtual artefacts in its whole volume."""
 
 import math
 import time
@@ -43,14 +43,14 @@ from .measures import (
 )
 
 MIDDLE_SHARE = 0.5  # Noise is measured in this share of the common field's width and height.
-MIDDLE_DEPTH = 0.05  # The middle of a tilted plane is within this share of its distance.
+MIDDLE_DEPTH = 0.05  # largest relative deviation in depth from the middle of a tilted plane
 FLATNESS_TILT_DEG = 30.0
 STEEPEST_DEG = 60.0  # largest angle of incidence of camera or projector for points of a sphere
 PROBING_SHARE, BAR_SPHERE_SHARE = (
     0.1,
     0.05,
 )  # diameters of spheres, as shares of the volume's diagonal
-SMALLEST_FIELD_SHARE = 0.35  # A sphere takes at most this share of the field at the near end.
+SMALLEST_FIELD_SHARE = 0.35  # largest share of the field at the near end for a sphere's diameter
 MAP_WIDTH = 104
 
 PLACES = (
@@ -102,21 +102,21 @@ def certify(
 ) -> Certificate:
     """Measure the accuracy of a scanner over its working volume.
 
-    The scanner is used with its filters and smoothing. Exposure is metered on the artefact in each
-    scene, unless the scanner has a fixed exposure. Truth comes from the scene.
+    The scanner is used with its filters and smoothing. In each scene, exposure is metered on the
+    artefact, unless the scanner has a fixed exposure. The truth comes from the scene.
 
     Args:
         renderer: an open renderer.
         seed: seed for light sampling and sensor noise.
-        rendered_with: true rig, which renders the light and has the working volume; give it if the
-            scanner's rig is an inexact calibration. None is the scanner's rig.
-        progress: counter of scenes, which also receives the name of each scene's artefact.
+        rendered_with: the true rig, which renders the light and defines the working volume. Give it
+            if the scanner's rig is an inexact calibration; the default is the scanner's rig.
+        progress: meter that receives the number of finished scenes and the next artefact's name.
 
     Raises:
         ValueError: camera and projector share too small a field, or an artefact is not decoded.
 
-    Leaves out: changes from shot to shot other than sensor noise (vibration, drift, warm-up, a
-    flickering projector); errors of the artefacts; interreflections, if `scope.depth` is 1.
+    Leaves out: changes from shot to shot other than sensor noise (vibration, drift, warm-up,
+    projector flicker); errors of the artefacts; interreflections, if `scope.depth` is 1.
     """
     start_s = time.perf_counter()
     lab = open_lab(scanner, rendered_with or scanner.rig, scope or Scope(), renderer)
@@ -192,7 +192,7 @@ def _plan(lab: Lab) -> _Plan:
 def _poses(lab: Lab) -> tuple[_Pose, ...]:
     """Return facing planes from near to far, then tilts about the baseline, then other tilts.
 
-    A tilt about the baseline is equal for both devices; another tilt is steeper for one of them.
+    A tilt about the baseline is the same for both devices; other tilts are steeper for one of them.
     """
     captures, volume = lab.scope.captures, lab.volume
     baseline_deg = math.degrees(math.atan2(*lab.rig.T_cam_proj[[1, 0], 3]))
@@ -282,12 +282,12 @@ def _middle(shots: Shots, z_m: float) -> Bool[np.ndarray, "h w"]:
     top, bottom = np.quantile(rows, [cut, 1 - cut]).astype(int)
     left, right = np.quantile(columns, [cut, 1 - cut]).astype(int)
     window[top : bottom + 1, left : right + 1] = True
-    with np.errstate(invalid="ignore"):  # NaN: no surface
+    with np.errstate(invalid="ignore"):  # Depth is NaN where there is no surface.
         return shots.where & window & (np.abs(shots.truth_m / z_m - 1) <= MIDDLE_DEPTH)
 
 
 def _block_means(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "bh bw"]:
-    """Return the means of square blocks of pixels; NaN for blocks that are less than half known."""
+    """Return the means of square blocks of pixels; NaN for blocks that are less than half valid."""
     size = max(1, math.ceil(image.shape[1] / MAP_WIDTH))
     h, w = (length // size for length in image.shape)
     whole = image[: h * size, : w * size].reshape(h, size, w, size)
@@ -304,7 +304,7 @@ def _sphere_points(
     lab: Lab, shots: Shots, centre_m: Float[np.ndarray, "n 3"], radius_m: float
 ) -> list[Float[np.ndarray, "_ 3"]]:
     """Return the measured points on each sphere where the incidence is at most `STEEPEST_DEG`."""
-    with np.errstate(invalid="ignore"):  # NaN: no surface
+    with np.errstate(invalid="ignore"):  # Depth is NaN where there is no surface.
         good = shots.where & (incidence_rad(lab, shots) <= math.radians(STEEPEST_DEG))
     good &= np.isfinite(shots.depth_m[0])
     true_point = lab.ray[good] * shots.truth_m[good][:, None]

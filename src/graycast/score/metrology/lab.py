@@ -1,4 +1,4 @@
-"""The virtual lab: the true rig lights a scene, and the scanner scans it with its own rig."""
+"""The virtual laboratory: the true rig lights a scene, and the scanner scans it."""
 
 import platform
 from dataclasses import asdict, dataclass, replace
@@ -23,17 +23,17 @@ from ...world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
 from .artefacts import Volume, common_rectangle_m, in_view, working_volume
 from .certificate import BlurResult, Scope
 
-ERODED_PX = 3  # width of the strip that is left out along the outline of each artefact
+ERODED_PX = 3  # width of the strip that is excluded along the outline of each artefact
 BLUR_DEPTHS = 21
-MIN_DECODED = 0.05  # A smaller share of decoded pixels shows the settings, not the shape.
+MIN_DECODED = 0.05  # A smaller share of decoded pixels is due to the settings, not to the shape.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lab:
     """Data for all scenes of a certificate.
 
-    `ray` has the directions of the true camera's pixels, `scanner_ray` the directions by the
-    scanner's calibration.
+    `ray` has the directions of the true camera's pixels, and `scanner_ray` has the directions from
+    the scanner's calibration.
     """
 
     scanner: Scanner
@@ -91,7 +91,7 @@ def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed:
     rendering = _render(lab, surfaces, seeds[0])
     where = _in_volume(lab, rendering)
     metered, times = _metered(lab, rendering, where)
-    # All shots share the error of the light paths, so it is no part of the noise between them.
+    # All shots share the sampling noise of the light paths, so the noise between shots excludes it.
     light = rendering.radiance
     scans = [
         measure(metered, take(metered, light, seed=own), path_noise=None)[1] for own in seeds[1:]
@@ -133,7 +133,7 @@ def _render(lab: Lab, surfaces: tuple[Quad | Sphere, ...], seed: int) -> Renderi
 
 def _in_volume(lab: Lab, rendering: Rendering) -> Bool[np.ndarray, "h w"]:
     truth_m = rendering.truth.depth_m
-    with np.errstate(invalid="ignore"):  # NaN: no surface
+    with np.errstate(invalid="ignore"):  # Depth is NaN where there is no surface.
         inside = (truth_m > lab.volume.near_m) & (truth_m < lab.volume.far_m)
     inside[inside] &= in_view(lab.rig, lab.ray[inside] * truth_m[inside][:, None])
     return binary_erosion(inside, iterations=ERODED_PX)
@@ -144,7 +144,7 @@ def _metered(
 ) -> tuple[Scanner, ExposureTimes]:
     """Return the scanner with exposures that are metered on the artefact, and their times.
 
-    The scanner's automatic exposure uses the whole picture, which a small sphere does not fill.
+    The scanner's own automatic exposure uses the whole picture, which a small sphere does not fill.
     """
     if not where.any():
         raise ValueError(
@@ -161,7 +161,7 @@ def _metered(
 
 
 def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
-    """Return the angle of incidence of the camera's or the projector's ray, whichever is larger."""
+    """Return the larger angle of incidence of the camera's and the projector's ray, per pixel."""
     point = lab.ray * shots.truth_m[..., None]
     to_projector = transform_points(lab.rig.T_proj_cam, point)
     normal_proj = shots.normal @ lab.rig.T_cam_proj[:3, :3]

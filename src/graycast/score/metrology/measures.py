@@ -1,4 +1,4 @@
-"""Quantities of metrology from points and pictures: fits, ranges, noise, spacing, modulation.
+"""Metrological quantities from points and pictures: fits, ranges, noise, spacing, modulation.
 
 All functions depend only on arrays, not on artefacts or scanners.
 """
@@ -12,17 +12,17 @@ from scipy.stats import chi2
 
 from ...rig.pattern import Code, Frame
 
-DROPPED_SHARE = (3, 1000)  # VDI/VDE 2634 part 2 allows dropping at most this share of the points.
+DROPPED_SHARE = (3, 1000)  # largest share of points to drop by VDI/VDE 2634 part 2
 ITERATIONS = 50
-CONVERGED = 1e-12  # share of the radius
+CONVERGED = 1e-12  # size of the last step, as a share of the radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviations:
     """Distances of points from a fitted shape.
 
-    `range_m` is the largest minus the smallest signed distance, `std_m` the standard deviation of
-    the distances. Both are over the `points` that are kept; `dropped` points are left out.
+    `range_m` is the largest minus the smallest signed distance, and `std_m` the standard deviation
+    of the distances. Both are over the `points` that remain after `dropped` points are removed.
     """
 
     range_m: float
@@ -48,7 +48,7 @@ class SphereFit:
     radius_m: float
 
     def distance_m(self, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
-        """Return the signed distance of points from the surface, positive outwards."""
+        """Return the signed distance of points from the surface, positive outside."""
         return np.linalg.norm(point - self.centre_m, axis=-1) - self.radius_m
 
 
@@ -72,7 +72,7 @@ def fit_plane(point: Float[np.ndarray, "n 3"]) -> PlaneFit:
 
 
 def fit_sphere(point: Float[np.ndarray, "n 3"]) -> SphereFit:
-    """Return the sphere (with a free radius) of the least sum of squared radial distances.
+    """Return the sphere with the least sum of squared radial distances; its radius is free.
 
     Gauss-Newton steps on `|p - c| - r` start at the algebraic fit `|p|^2 = 2 c . p + r^2 - |c|^2`.
 
@@ -115,7 +115,7 @@ def flatness(point: Float[np.ndarray, "n 3"]) -> tuple[PlaneFit, Deviations]:
     """Return the best-fit plane, and the deviations of points from it.
 
     A plane is fitted to all points, the worst 3 in 1000 points are dropped, and a plane is fitted
-    to the rest. Source: VDI/VDE 2634 part 2, as secondary sources quote it.
+    to the rest. Source: VDI/VDE 2634 part 2, as quoted by secondary sources.
     """
     keep = without_worst(fit_plane(point).distance_m(point))
     fit = fit_plane(point[keep])
@@ -123,7 +123,7 @@ def flatness(point: Float[np.ndarray, "n 3"]) -> tuple[PlaneFit, Deviations]:
 
 
 def probing(point: Float[np.ndarray, "n 3"]) -> tuple[SphereFit, Deviations]:
-    """Return the best-fit sphere, and the deviations from it; drop points as in `flatness`."""
+    """Return the best-fit sphere and the deviations from it; drop points as in `flatness`."""
     keep = without_worst(fit_sphere(point).distance_m(point))
     fit = fit_sphere(point[keep])
     return fit, _deviations(fit.distance_m(point[keep]), len(point))
@@ -141,8 +141,8 @@ def _deviations(distance: Float[np.ndarray, " n"], measured: int) -> Deviations:
 def temporal_noise_m(depth_m: Float[np.ndarray, "n h w"], where: Bool[np.ndarray, "h w"]) -> float:
     """Return the standard deviation of a pixel's depth from shot to shot (median over pixels).
 
-    The sample variance of n normal values is `sigma^2 / (n - 1)` times a chi-squared number with
-    n - 1 degrees of freedom; sigma follows from the medians of variances and of that number.
+    The sample variance of n normal values is `sigma^2 / (n - 1)` times a chi-squared variable with
+    n - 1 degrees of freedom. Sigma follows from the medians of the variances and of this variable.
 
     Args:
         depth_m: n captures of one scene; only pixels with depth in all captures count.
@@ -168,8 +168,8 @@ def depth_error_m(error_m: Float[np.ndarray, " n"]) -> float:
     """Return the standard deviation of measured minus true depth over the pixels of one shot.
 
     The pixels farthest from the median are dropped as in `flatness`. Unlike temporal noise, the
-    result contains errors that are the same in every shot, but neither contains an error that all
-    pixels share.
+    result contains errors that are the same in every shot. Neither contains an error that is the
+    same for all pixels.
     """
     keep = without_worst(error_m - np.median(error_m))
     return float(error_m[keep].astype(np.float64).std())
@@ -178,8 +178,8 @@ def depth_error_m(error_m: Float[np.ndarray, " n"]) -> float:
 def point_spacing_m(point: Float[np.ndarray, "h w 3"], where: Bool[np.ndarray, "h w"]) -> float:
     """Return the median distance between points of neighbouring pixels, across the camera's axis.
 
-    Differences in depth are left out, because on a facing plane they are noise. The result is NaN
-    if no two neighbours count.
+    Differences in depth are ignored, because they are noise on a facing plane. The result is NaN
+    if no two neighbouring pixels have points.
     """
     xy = np.where((where & np.isfinite(point[..., 2]))[..., None], point[..., :2], np.nan)
     steps = [np.linalg.norm(np.diff(xy, axis=axis), axis=-1).ravel() for axis in (0, 1)]
@@ -193,9 +193,9 @@ def modulation(
 ) -> dict[str, float]:
     """Return the mean modulation of each bit and each set of phases over pixels; 1 is perfect.
 
-    With white W and black B, the modulation is `|P - I| / (W - B)` for a binary frame and its
-    inverse, `|2 P - W - B| / (W - B)` for a frame without an inverse, and twice the amplitude over
-    W - B for phases or lines. Lines with a period p reach at most 4 / p.
+    With white W and black B, the modulation is `|P - I| / (W - B)` for a binary frame P and its
+    inverse I, `|2 P - W - B| / (W - B)` for a frame without an inverse, and twice the amplitude
+    divided by W - B for phases or lines. Lines with a period p reach at most 4 / p.
 
     Args:
         light: one linear picture per frame, in any unit.

@@ -1,4 +1,4 @@
-"""The files of a certificate: JSON, plots, and a web page like a manufacturer's datasheet."""
+"""The files of a certificate: JSON, plots, and a web page that resembles a datasheet."""
 
 import base64
 import json
@@ -19,7 +19,7 @@ REMARK = (
 def write_certificate(certificate: Certificate, out: Path) -> Path:
     """Write `certificate.json`, the plots as PNGs and `certificate.html` into a folder.
 
-    The page is one file with embedded pictures, and needs no scripts and no network.
+    The page is one file with embedded pictures; it needs neither scripts nor a network.
 
     Returns:
         The path of the page.
@@ -41,7 +41,7 @@ def describe(certificate: Certificate) -> str:
 
 
 def _figures(certificate: Certificate) -> list[tuple[str, str, str]]:
-    """Return name, value and method of measurement for each figure of the datasheet."""
+    """Return name, value and method of measurement of each figure on the datasheet."""
     c, s = certificate, certificate.summary
     near, middle, far = c.facing[0], c.middle, c.facing[-1]
     ends = f"{1e3 * near.z_m:.0f} / {1e3 * middle.z_m:.0f} / {1e3 * far.z_m:.0f} mm"

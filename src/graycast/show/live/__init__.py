@@ -1,7 +1,7 @@
-"""A live cell in the browser: the effect of each setting is visible while it is changed.
+"""A live cell in the browser, which shows the effect of each setting while it is changed.
 
-`Session` holds the settings. A separate process, which ends with the page, holds the results of all
-stages (`line.py`). `serve` provides the page, which only this machine can open.
+`Session` holds the settings. A separate process holds the results of all stages (`line.py`); it
+ends when the page is closed. `serve` provides the page, which only this machine can open.
 """
 
 from .server import Server, serve

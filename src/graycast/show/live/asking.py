@@ -9,11 +9,11 @@ from ...cell.config import Config
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ask:
-    """A request to show a cell. A later request replaces an earlier one, even a half-done one."""
+    """A request to show a cell. A later request replaces it, even if it is not finished."""
 
     number: int
     config: Config
-    unturned: Config  # the configuration with the file's ambient light and projector power
+    unturned: Config  # the configuration with unscaled ambient light and projector power
     ambient: float
     power: float
     frame: int  # index of the captured frame to show
@@ -21,9 +21,9 @@ class Ask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Data for the page: `header` describes them, and `arrays` are bytes by name."""
+    """Data for the page: `header` describes the `arrays`, which are bytes by name."""
 
-    kind: str  # "picture", "stage" or "error"
+    kind: str  # such as "picture", "stage", "world" or "error"
     number: int
     header: Mapping[str, Any]
     arrays: Mapping[str, bytes]

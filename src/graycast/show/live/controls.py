@@ -17,15 +17,15 @@ from ...world.parts.material_section import material_words, resolve_material
 
 Cost = Literal["free", "light", "physics"]
 Number = float | int
-MOST_PARTS = 6  # Further kinds can be changed only in the text.
+MOST_PARTS = 6  # Other kinds of part can be changed only in the text.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Control:
     """A control of the page for one value.
 
-    `whole` is the key that is sent if `key` is only a part of its value, such as an item of a list.
-    `grey` means that one number sets three equal ones. A control without bounds offers `choices`.
+    If `key` is only an item of a list or a part of a value, the page sends the value for `whole`.
+    `grey`: one number sets three equal numbers. A control without bounds offers `choices`.
     """
 
     key: str
@@ -34,9 +34,9 @@ class Control:
     cost: Cost
     low: Number | None = None
     high: Number | None = None
-    step: Number | None = None  # A slider moves by this step, or by equal ratios if it is None.
+    step: Number | None = None  # step of the slider; None for steps of equal ratio
     unit: str = ""
-    scale: float = 1.0  # The page shows the value times this factor.
+    scale: float = 1.0  # The page shows the value multiplied by this factor.
     choices: tuple[Any, ...] = ()
     whole: str | None = None
     grey: bool = False
@@ -45,10 +45,9 @@ class Control:
 def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
     """Return all controls of a configuration as JSON, with stated or default values.
 
-    Each control has the description of its key, which the page shows as a tooltip.
-
-    No file of a part or a bin is read, so the page has its controls before the first picture, and
-    even if no picture can be made with the values.
+    Each control has the description of its key, which the page shows as a tooltip. Files of parts
+    and bins are not read. Therefore the page has its controls before the first picture, and also if
+    the values permit no picture.
     """
     return {
         "controls": [_described(control) for control in _controls(config)],
@@ -57,7 +56,7 @@ def described_controls(config: Config, scanner: Scanner) -> dict[str, Any]:
 
 
 def values_of_files(cell: Cell) -> dict[str, Any]:
-    """Return the values that come from a cell's files unless the configuration states them."""
+    """Return the values that a cell's files determine, unless the configuration states them."""
     config = cell.config
     values: dict[str, Any] = {"table": material_words(cell.scene.table, config.table)}
     for index, section in enumerate(config.parts[:MOST_PARTS]):
@@ -167,7 +166,7 @@ _RIG = (
 
 
 def _surface(whole: str, name: str) -> Iterator[Control]:
-    """Yield controls of a surface's physical properties; plain grey replaces a texture."""
+    """Yield controls of a surface's physical properties; the grey value replaces a texture."""
     words = (("base_color", "grey", 0.0), ("metallic", "metallic", 0.0),
              ("roughness", "roughness", 0.05), ("specular", "specular", 0.0))  # fmt: skip
     for word, label, low in words:
@@ -214,14 +213,14 @@ _PHYSICS = (
 
 
 def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
-    """Return the values in use, whether the configuration states them or not."""
+    """Return the values in use, whether or not the configuration states them."""
     values: dict[str, Any] = {}
     for section in ("exposure", "sensor", "decode", "filters"):
         for name, value in asdict(getattr(scanner, section)).items():
             values[f"{section}.{name}"] = value
     stated = {"bin.material": config.bin.material, "table": config.table}
     for index, part in enumerate(config.parts[:MOST_PARTS]):
-        if part.builtin is None:  # A built-in part's material is known once it is loaded.
+        if part.builtin is None:  # The material of a built-in part is known only once it is loaded.
             stated[f"parts.{index}.material"] = part.material
         values[f"parts.{index}.builtin"] = part.builtin
     for key, surface in stated.items():
@@ -250,6 +249,6 @@ def _values(config: Config, scanner: Scanner) -> dict[str, Any]:
 
 
 def _bin_values(config: Config, inner_m: tuple[float, float, float]) -> dict[str, Any]:
-    """Return the bin's inner sizes, and the point that the camera looks at."""
+    """Return the bin's inner size and the point at which the camera looks."""
     target_m = config.view.target_m or (0.0, 0.0, inner_m[2] / 3)
     return {"bin.inner_m": list(inner_m), "view.target_m": list(target_m)}

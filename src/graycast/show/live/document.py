@@ -1,7 +1,7 @@
 """The state of a live session: the text of a configuration, and a few separate adjustments.
 
 Ambient light and changes of the rig have no single key in a configuration. They are stored here and
-become keys when a picture is requested: scaled radiances, and the session's own rig file.
+are converted when a picture is requested: to scaled radiances, and to a rig file of the session.
 """
 
 from collections.abc import Mapping
@@ -24,9 +24,9 @@ from ...rig.pair import Rig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigChange:
-    """Changes of a rig: factors for its values, and an angle that is added to its toe-in."""
+    """Changes of a rig: two factors, and an angle that is added to the toe-in."""
 
-    power: float = 1.0  # This is a factor of the projector's power.
+    power: float = 1.0  # factor of the projector's power
     baseline: float = 1.0
     toe_in_deg: float = 0.0
 
@@ -43,10 +43,10 @@ class RigChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """One state of a session; it is immutable, so that undo returns to an earlier one."""
+    """One state of a session; it is immutable, so that undo can return to an earlier state."""
 
     content: Mapping[str, Any]  # the content of the YAML file
-    ambient: float = 1.0  # This scales the environment and all lamps.
+    ambient: float = 1.0  # factor of the radiances of the environment and of all lamps
     rig: RigChange = field(default_factory=RigChange)
 
     def __post_init__(self) -> None:
@@ -110,7 +110,7 @@ def checked(document: Document, path: Path) -> Config:
     """Return the document's configuration, without the separate adjustments.
 
     Raises:
-        ConfigError: see `load_config`; the text names the file.
+        ConfigError: see `load_config`; the error names the file.
     """
     return check_settings(document.content, Config, path)
 
@@ -118,10 +118,10 @@ def checked(document: Document, path: Path) -> Config:
 def files_of(
     document: Document, path: Path, *, rig_name: str
 ) -> tuple[Mapping[str, Any], str | None]:
-    """Return files for `graycast preview`: a configuration, and the text of a rig file if needed.
+    """Return the files of a document: a configuration, and the text of a rig file if needed.
 
     Args:
-        path: the configuration's file; relative paths start in its folder.
+        path: the configuration's file; relative paths refer to its folder.
         rig_name: the name of the document's own rig file in the configuration.
 
     Raises:
@@ -139,7 +139,7 @@ def files_of(
     except ValueError as error:
         raise ConfigError(f"{path}: rig: {error}") from error
     content["rig"] = rig_name
-    content.pop("resolution", None)  # A rig file states its own resolution.
+    content.pop("resolution", None)  # The rig file states the resolution.
     return content, scanner_text(turned)
 
 
@@ -158,7 +158,7 @@ def turned_rig(rig: Rig, change: RigChange) -> Rig:
     """
     across = 0 if triangulation_axis(rig) == "column" else 1
     side = 1.0 if rig.T_cam_proj[across, 3] >= 0 else -1.0
-    # A positive turn moves the axis towards +x about y, and towards -y about x.
+    # A positive rotation about y turns the axis towards +x; one about x turns it towards -y.
     sense = -side if across == 0 else side
     T_cam_proj = rig.T_cam_proj.copy()
     turn = axis_rotation("xy"[1 - across], sense * np.radians(change.toe_in_deg))

@@ -1,13 +1,13 @@
-"""Keep the results of all stages, and make a requested picture from results that still apply.
+"""Keep the results of all stages, and make a requested picture from results that are still valid.
 
-Each product is stored with a key of its inputs. If only settings after the light have changed
-(exposure, sensor, decoder, filters, faults), the stored radiance is measured again. Radiance is
-linear, so the projector's power and the ambient light are factors of it. A change of the light
-is rendered roughly first, then as configured. Parts are dropped again only if the physics changed.
+Each product is stored with a key that depends on its inputs. If only settings of later stages than
+the light have changed (exposure, sensor, decoder, filters, faults), the stored radiance is measured
+again. Radiance is linear in the projector's power and in the ambient light, so these are factors.
+If the light has changed, it is rendered roughly first, and then as configured. Parts are dropped
+again only if the physics has changed.
 
-A finished picture equals that of `make_scene` bit for bit, since the stages and their seeds are the
-same. A scaled radiance differs in its last bits, so it is shown at once and rendered again in the
-background.
+A finished picture equals that of `make_scene` bit for bit, because stages and seeds are the same. A
+scaled radiance differs in its last bits, so it is shown at once and rendered again afterwards.
 """
 
 import hashlib
@@ -37,20 +37,20 @@ from .asking import Answer, Ask
 from .showing import PageContent, picture_answer, world_answer, world_key
 
 FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "faults", "store", "scenes")
-ROUGH = (1, 4)  # numbers of samples per pixel of the rough pictures
+ROUGH = (1, 4)  # samples per pixel of the rough pictures
 
 Emit = Callable[[Answer], None]
 
 
 class Superseded(Exception):
-    """An exception: a newer request has arrived, so the current work is useless."""
+    """Signals that a newer request has arrived, so the result of the current work is not needed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightState:
-    """A rendering, and the light with which it was made."""
+    """A rendering, and the light for which it was made."""
 
-    key: Hashable  # The key identifies the light without the two factors.
+    key: Hashable  # The key identifies the light without its two factors.
     number: int  # Each rendering has its own number.
     ambient: float
     power: float
@@ -60,7 +60,7 @@ class LightState:
 
 
 class Line:
-    """The latest product of every stage. Only one thread may call it, because of Mitsuba."""
+    """The latest product of every stage. Only one thread may use it, because of Mitsuba."""
 
     def __init__(
         self,
@@ -71,11 +71,11 @@ class Line:
         emit: Emit,
         superseded: Callable[[], bool],
     ) -> None:
-        """Start without any products.
+        """Start without products.
 
         Args:
-            folder: the folder where the configuration's relative paths start.
-            emit: function that is called with every answer.
+            folder: the folder that relative paths in the configuration refer to.
+            emit: function that receives every answer.
             superseded: function that returns whether a newer request has arrived.
         """
         self._folder, self._scene_id, self._device = folder, scene_id, device
@@ -97,7 +97,7 @@ class Line:
             self._renderer[1].close()
 
     def show(self, ask: Ask) -> None:
-        """Make and emit the requested picture, with rough pictures first if it takes long.
+        """Make and emit the requested picture; emit rough pictures first if the light is rendered.
 
         Raises:
             Superseded: a newer request arrived first.
@@ -139,7 +139,7 @@ class Line:
             first = False
 
     def look(self, ask: Ask) -> None:
-        """Show a different captured frame; if a file has changed, make the whole picture again."""
+        """Show another captured frame; if a file has changed, make the whole picture again."""
         key = _light_key(ask.config, self._folder, self._files(ask.config))
         if self._cell is None or self._cell[0] != key:
             self.show(ask)
@@ -151,7 +151,7 @@ class Line:
     def _resolved(self, config: Config) -> Cell:
         """Return the cell; resolve it again if its light or its files have changed.
 
-        Files are compared by content, because an edited file may keep its name.
+        Files are compared by content, because a file can change without a change of its name.
         """
         key = _light_key(config, self._folder, self._files(config))
         if self._cell is not None and self._cell[0] == key:
@@ -163,9 +163,9 @@ class Line:
         return cell
 
     def _files(self, config: Config) -> Mapping[str, str]:
-        """Return the digests of the configuration's files; only changed files are read again.
+        """Return the digests of the configuration's files; read only the files that changed.
 
-        If a file cannot be read, the result is empty, and resolving the cell reports the error.
+        If a file is unreadable, the result is empty; resolving the cell then reports the error.
         """
         words = _words(config)
         if self._digests is not None and self._digests[0] == words:
@@ -187,7 +187,7 @@ class Line:
     def _layout(
         self, key: Hashable, scene: Scene, counts: tuple[int, ...], seed: int, ask: Ask
     ) -> tuple[Layout, bool]:
-        """Return the layout of the parts, and whether they had to be dropped for it."""
+        """Return the layout of the parts, and whether the parts were dropped for it."""
         if self._lain is not None and self._lain[0] == key:
             return self._lain[1], False
         limits = ask.config.drop
@@ -219,7 +219,7 @@ class Line:
             raise Superseded
 
     def _finish(self, run: "_Run", lit: LightState, *, kind: str, exact: bool, first: bool) -> None:
-        """Measure and show a rendering; the colour picture follows if it takes longer."""
+        """Measure and show a rendering; if the colour picture takes longer, it follows."""
         scanner, ask = run.cell.scanner, run.ask
         power, ambient = ask.power / lit.power, ask.ambient / (lit.ambient or 1.0)
         light, rendering = (lit.number, power, ambient), _scaled(lit.rendering, power, ambient)
@@ -271,7 +271,7 @@ class Line:
     def _color_light(
         self, run: "_Run", rendering: Rendering, key: tuple[Hashable, bool]
     ) -> Float[np.ndarray, "h w 3"]:
-        """Return the colour picture's light, denoised once a rendering is final."""
+        """Return the light of the colour picture, which is denoised once the rendering is final."""
         quality = resolve_quality(run.ask.config)
         noisy = run.ask.config.render.denoise and quality.denoise == "none"
         denoiser = self._opened(run.cell).denoiser if noisy and key[1] else None
@@ -329,16 +329,16 @@ def _state(file: Path) -> Hashable:
 
 
 def _qualities(wanted: Quality, lit: LightState | None) -> list[Quality]:
-    """Return rough qualities that improve on the present picture, then the wanted quality."""
+    """Return rough qualities that are better than the present picture, then the wanted one."""
     there = lit.quality.samples if lit is not None else 0
     rough = [replace(wanted, samples=n) for n in ROUGH if there < n < wanted.samples]
     return [*rough, wanted]
 
 
 def _scaled(rendering: Rendering, power: float, ambient: float) -> Rendering:
-    """Return the rendering with different factors for projector power and ambient light.
+    """Return the rendering with other factors for projector power and ambient light.
 
-    A light that was dark cannot be scaled up; its share is missing until it is rendered.
+    A light whose factor was 0 cannot be scaled up; it is missing until it is rendered again.
     """
     if power == ambient == 1:
         return rendering
@@ -355,12 +355,12 @@ def _scaled(rendering: Rendering, power: float, ambient: float) -> Rendering:
 
 
 def _times(light: Float[np.ndarray, "..."], factor: float) -> Float[np.ndarray, "..."]:
-    """Scale a light; the factor 1 makes no copy, which takes 15 ms for a stack of patterns."""
+    """Scale a light; a factor of 1 makes no copy, since copying a stack takes 15 ms."""
     return light if factor == 1 else light * np.float32(factor)
 
 
 def _physics_key(scene: Scene, counts: tuple[int, ...], seed: int, limits: DropLimits) -> Hashable:
-    """Return a key of all values that `drop` uses: shapes, masses, friction and limits."""
+    """Return a cache key of all values that `drop` uses: shapes, masses, friction and limits."""
     box = scene.bin
     assert box is not None  # A cell always has a bin.
 

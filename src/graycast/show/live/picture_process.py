@@ -1,4 +1,4 @@
-"""The process that makes the pictures; its end releases its memory and threads."""
+"""The process that makes the pictures; its memory and threads are released when it ends."""
 
 import faulthandler
 import signal
@@ -13,11 +13,11 @@ from ...base.errors import GraycastError, error_line
 from ...base.spawn import SPAWN
 from .asking import Answer, Ask
 
-STOP_S = 3.0  # The process is killed if it has not ended after this time.
+STOP_S = 3.0  # time after which a process that has not ended is killed
 
 
 def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> None:
-    """Answer requests until the session ends; of several waiting requests, answer only the last."""
+    """Answer requests until the session ends; if several are waiting, answer only the latest."""
     from .line import Line, Superseded
 
     faulthandler.enable()  # If native code crashes, this prints the call stack.
@@ -80,8 +80,8 @@ class PictureProcess:
         """Start the process.
 
         Args:
-            on_answer: called in the thread with every answer.
-            on_end: called in the thread with the cause if the process ends without `stop`.
+            on_answer: function that the thread calls with every answer.
+            on_end: function that it calls with the cause if the process ends without `stop`.
         """
         self._connection, theirs = SPAWN.Pipe()
         self._process = SPAWN.Process(
@@ -101,7 +101,7 @@ class PictureProcess:
         return self._process.pid
 
     def ask(self, ask: Ask) -> None:
-        """Request a picture; of several waiting requests, the process gets only the last."""
+        """Request a picture; if several requests are waiting, only the latest is sent."""
         with self._lock:
             if self._on_the_way:
                 self._waiting = ask
@@ -110,7 +110,7 @@ class PictureProcess:
 
     def _send(self, ask: Ask) -> None:
         self._on_the_way, self._waiting = True, None
-        with suppress(BrokenPipeError, OSError):  # `on_end` reports this error.
+        with suppress(BrokenPipeError, OSError):  # `on_end` reports that the process has ended.
             self._connection.send(ask)
 
     def _taken(self) -> None:

@@ -1,7 +1,7 @@
-"""The page's server: only this machine can reach it, and only its own pages can use it.
+"""The server of the page: only this machine can reach it, and only its own pages can use it.
 
-It listens on the loopback address. The check of the header Host refuses a foreign page whose domain
-name was made to point to this address, and the check of Origin refuses pages of other origins.
+It listens on the loopback address. The check of the Host header refuses a foreign page whose domain
+name points to this address, and the check of the Origin header refuses pages of other origins.
 There is no password: anyone with an account on this machine can open the page.
 """
 
@@ -27,9 +27,9 @@ from .asking import Answer
 from .session import Message, Session
 
 HOST = "127.0.0.1"
-GRACE_S = 2.0  # If a page is not loaded again in this time, its resources are released.
-MOST_BYTES = 1_000_000  # This limits the size of one request.
-_BEAT_S = 0.25  # A page's stream checks at this interval whether the page is still open.
+GRACE_S = 2.0  # time after which a session without pages is paused; reloading a page is faster
+MOST_BYTES = 1_000_000  # largest size of a request
+_BEAT_S = 0.25  # interval at which a page's stream checks whether the page is still open
 
 _SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
 _OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")
@@ -39,7 +39,7 @@ _POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-in
 
 
 class Server:
-    """The server of a session's pages; without an open page, it keeps no pictures."""
+    """The server of a session's pages; it keeps no pictures while no page is open."""
 
     def __init__(self, path: Path, *, port: int = 0, scene_id: int = 0, device: str = "auto"):
         """Read the configuration and open the port.
@@ -51,7 +51,7 @@ class Server:
         self.session = Session(path, scene_id=scene_id, device=device, on_message=self._tell)
         self._pages: list[SimpleQueue[Message]] = []
         self._lock = threading.Lock()
-        self._turn = threading.Lock()  # This lock serialises opening and pausing.
+        self._turn = threading.Lock()  # This lock serialises opening and pausing of the session.
         self._pause: threading.Timer | None = None
         try:
             self._http = _Http((HOST, port), _Handler)
@@ -86,13 +86,13 @@ class Server:
 
     @contextmanager
     def page(self) -> Iterator["SimpleQueue[Message]"]:
-        """Add a listening page; pause the session some time after the last page has left."""
+        """Add a listening page; pause the session some time after the last page is closed."""
         queue: SimpleQueue[Message] = SimpleQueue()
         with self._turn:
             if self._pause is not None:
                 self._pause.cancel()
             self.session.open()
-            with self.session.standing_still():  # No answer may arrive in between and be lost.
+            with self.session.standing_still():  # No answer may arrive between these calls.
                 queue.put(Message(kind="state", content=self.session.state()))
                 for version, answer in self.session.newer(0):
                     queue.put(Message(kind=answer.kind, content={"version": version}))
@@ -168,7 +168,7 @@ def serve(path: Path, *, port: int, scene_id: int, device: str) -> Iterator[Serv
 class _Http(ThreadingHTTPServer):
     live: Server
     daemon_threads = True
-    block_on_close = False  # A stream ends when its page or the program does.
+    block_on_close = False  # A stream ends when its page or the program is closed.
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore errors from pages that close during an answer."""
@@ -284,18 +284,18 @@ def _command(body: bytes) -> Any:
 
 
 def _kindless(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Rename a picture's own kind (free, light, physics), since the message has a `kind`, too."""
+    """Return a picture's header with `kind` renamed, because a message has a `kind`, too."""
     return {("change" if key == "kind" else key): value for key, value in content.items()}
 
 
 def _is_gone(connection: socket.socket) -> bool:
-    """Return whether the browser has closed a connection, on which it sends no more data."""
+    """Return whether the browser has closed a connection, on which it sends nothing more."""
     readable, _, _ = select.select([connection], [], [], 0)
     return bool(readable) and connection.recv(1, socket.MSG_PEEK) == b""
 
 
 def _packed(answers: list[tuple[int, Answer]]) -> bytes:
-    """Return answers in one block: the length of the head, the head as JSON, and all arrays.
+    """Return answers as one block: length of the head, head as JSON, and all arrays.
 
     Arrays begin at multiples of 8 bytes, so that a browser can use them without a copy.
     """

@@ -27,14 +27,14 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}\.ya?ml")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """A message to a page: its kind and content. Pictures are fetched separately, by number."""
+    """A message to a page. Pictures are not part of it; pages fetch them by their number."""
 
     kind: str
     content: Mapping[str, Any]
 
 
 class Session:
-    """The state behind the page. Any thread may call its methods."""
+    """The state behind the page. Its methods may be called from any thread."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Session:
 
         Args:
             path: the file of the configuration, which is never written.
-            on_message: function that is called with every message for a page.
+            on_message: function that receives every message for a page.
 
         Raises:
             ConfigError: see `load_config`.
@@ -62,9 +62,9 @@ class Session:
         self._number = self._version = 0
         self._requests: dict[int, Document] = {}
         self._request_s: dict[int, float] = {}
-        self._latest: dict[str, tuple[int, Answer]] = {}  # kind: (version, answer)
+        self._latest: dict[str, tuple[int, Answer]] = {}  # by kind: version and answer
         self._refusal: Message | None = None
-        self._own: set[Path] = set()  # This session has written these files.
+        self._own: set[Path] = set()  # files that this session has written
         self._lock = RLock()
         self._maker: PictureProcess | None = None
         self._has_finished = False  # whether the running process has made an exact result
@@ -74,7 +74,7 @@ class Session:
 
     @property
     def pid(self) -> int | None:
-        """Id of the process that makes the pictures; None if it does not run."""
+        """Id of the process that makes the pictures; None if there is no process."""
         with self._lock:
             return None if self._maker is None else self._maker.pid
 
@@ -85,7 +85,7 @@ class Session:
             return self._number
 
     def open(self) -> None:
-        """Start to make pictures, unless the process already runs."""
+        """Start to make pictures, unless the process runs already."""
         with self._lock:
             if self._maker is None:
                 self._has_finished = False
@@ -99,7 +99,7 @@ class Session:
                 self._show()
 
     def pause(self) -> None:
-        """Release all memory and threads; settings and their history stay."""
+        """Release all memory and threads; keep the settings and their history."""
         with self._lock:
             maker, self._maker = self._maker, None
             self._latest.clear()
@@ -113,26 +113,26 @@ class Session:
     # --- actions of a user --------------------------------------------------------------------
 
     def set(self, key: str, value: Any, *, draft: bool = False) -> None:
-        """Set one value, as in `document.changed`; consecutive drafts are one step of undo.
+        """Set one value, as in `document.changed`; consecutive drafts are a single undo step.
 
         Raises:
-            ConfigError: the configuration would be invalid; the settings stay as they are.
+            ConfigError: the configuration would be invalid; the settings are not changed.
         """
         with self._lock:
             self._take(changed(self._now, key, value), draft=draft)
 
     def rewrite(self, text: str) -> None:
-        """Replace the text of the configuration; the separate adjustments stay.
+        """Replace the text of the configuration; keep the separate adjustments.
 
         Raises:
-            ConfigError: the configuration would be invalid; the settings stay as they are.
+            ConfigError: the configuration would be invalid; the settings are not changed.
         """
         with self._lock:
             content = dict(parse_yaml(text, self._path))
             self._take(replace(self._now, content=content), draft=False)
 
     def undo(self, steps: int = 1) -> None:
-        """Undo some steps, or redo them if the number is negative, as far as possible."""
+        """Undo some steps, or redo them if the number is negative; stop at the history's ends."""
         with self._lock:
             self._draft = False
             self._at = min(max(self._at - steps, 0), len(self._states) - 1)
@@ -146,7 +146,7 @@ class Session:
             self._take(self._requests[number], draft=False)
 
     def look(self, frame: int) -> None:
-        """Show a different captured frame."""
+        """Show another captured frame."""
         with self._lock:
             self._frame = frame
             self._show()
@@ -158,8 +158,8 @@ class Session:
             The path of the configuration. A changed rig gets its own file in the same folder.
 
         Raises:
-            GraycastError: the name is invalid, belongs to a file that this session has not
-                written, or the disk refuses.
+            GraycastError: the name is invalid, a file that this session has not written has this
+                name, or the file cannot be written.
         """
         if not _NAME.fullmatch(name):
             raise ConfigError(
@@ -210,7 +210,7 @@ class Session:
             }
 
     def _controls(self, config: Config) -> dict[str, Any]:
-        """Return the controls, or none if the rig is unreadable, so users can correct its text."""
+        """Return the controls; none if the rig is unreadable, so users can correct the text."""
         try:
             return described_controls(config, resolve_scanner(config, self._path.parent))
         except (GraycastError, ValueError, OSError):
@@ -218,12 +218,12 @@ class Session:
 
     @contextmanager
     def standing_still(self) -> Iterator[None]:
-        """Block settings and answers, so that a page that joins misses no message."""
+        """Block settings and answers, so that a new page misses no message."""
         with self._lock:
             yield
 
     def newer(self, version: int) -> list[tuple[int, Answer]]:
-        """Return version and answer for each kind's latest answer, if newer than `version`."""
+        """Return the latest answer of each kind and its version, if it is newer than `version`."""
         with self._lock:
             return [latest for latest in self._latest.values() if latest[0] > version]
 
@@ -240,7 +240,7 @@ class Session:
         return self._states[self._at]
 
     def _take(self, document: Document, *, draft: bool) -> None:
-        config = self._config(document)  # Invalid documents must be refused before they count.
+        config = self._config(document)  # This refuses invalid documents before they are stored.
         resolve_scanner(config, self._path.parent)
         if self._draft and self._at > 0:
             self._states[self._at] = document
@@ -254,7 +254,7 @@ class Session:
         self._show()
 
     def _show(self) -> None:
-        """Send the settings to the page, and request a picture."""
+        """Send the settings to the page and request a picture."""
         self._number += 1
         self._refusal = None
         self._request_s[self._number] = time.perf_counter()
@@ -277,7 +277,7 @@ class Session:
             )
 
     def _config(self, document: Document) -> Config:
-        """Return the document's configuration, whose rig file is in the session's own folder."""
+        """Return the document's configuration; its rig file is in the session's own folder."""
         content, rig_text = files_of(document, self._path, rig_name="rig.yaml")
         if rig_text is not None:
             digest = hashlib.sha256(rig_text.encode()).hexdigest()[:16]
@@ -307,12 +307,12 @@ class Session:
         self._on_message(message)
 
     def _ended(self, by: str) -> None:
-        """Start a new process for the picture after a process ended without `stop`.
+        """Report that the process ended without `stop`, and start a new one where that can help.
 
-        If the old process had not finished a picture, a new process would end in the same way.
+        If the old process never finished a picture, a new one would end likewise: none is started.
         """
         with self._lock:
-            if self._maker is None:  # `pause` ran first.
+            if self._maker is None:  # `pause` was called first.
                 return
             self._maker = None
             text = f"the process that makes the pictures was ended by {by}"
@@ -328,7 +328,7 @@ class Session:
 
 
 def _turned(document: Document) -> list[str]:
-    """Return the keys of the separate adjustments whose values are not neutral."""
+    """Return the keys of the separate adjustments that are not neutral."""
     as_it_is = asdict(RigChange())
     names = [
         f"rig.{name}" for name, value in asdict(document.rig).items() if value != as_it_is[name]

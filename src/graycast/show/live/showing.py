@@ -1,4 +1,4 @@
-"""Results in a form for the page: maps as bytes, and a header that describes them."""
+"""Convert results for the page: maps to bytes, with a header that describes them."""
 
 import hashlib
 from collections.abc import Mapping
@@ -44,11 +44,11 @@ class PageContent:
     capture: Capture
     codes: CodeMap
     depth: DepthMap
-    rgb: UInt8[np.ndarray, "h w 3"] | None  # None until it is made.
+    rgb: UInt8[np.ndarray, "h w 3"] | None  # None until it is available
 
 
 def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: bool) -> Answer:
-    """Return all maps of a picture, including the colour picture once it exists."""
+    """Return all maps of a picture, including the colour picture if it is available."""
     cell, depth, truth = page.cell, page.depth, page.rendering.truth
     scale_mm = depth_step_mm(cell)
     rig, codes = cell.scanner.rig, page.codes
@@ -124,7 +124,7 @@ def world_answer(ask: Ask, page: PageContent) -> Answer:
 
 
 def world_key(page: PageContent) -> str:
-    """Return a key that changes when the bodies of the 3D view change."""
+    """Return a cache key that changes when the bodies of the 3D view change."""
     scene, layout = page.scene, page.layout
     digest = hashlib.sha256(layout.T_world_part.tobytes() + layout.part_index.tobytes())
     meshes: list[Mesh] = [part.mesh for part in scene.parts]
@@ -185,14 +185,14 @@ def _mean(values: Num[np.ndarray, "*n"] | Any) -> float | None:
 
 
 def _target(page: PageContent) -> list[float]:
-    """Return the point about which dragging turns the rig, in the world [mm]."""
+    """Return the point [mm, world frame] about which the user turns the rig by dragging."""
     view, box = page.cell.config.view, page.scene.bin
     height_m = 0.0 if box is None else box.inner_m[2]
     return [MM_PER_M * v for v in view.target_m or (0.0, 0.0, height_m / 3)]
 
 
 def _lines(rig: Rig, T_world_cam: Float[np.ndarray, "4 4"]) -> Mapping[str, list[float]]:
-    """Return line segments in the world [mm]: both fields of view, and their common part."""
+    """Return line segments [mm, world frame]: both fields of view, and their common part."""
     ends_m = rig.near_m, 0.5 * (rig.near_m + rig.far_m), rig.far_m
     lines = {
         "camera": _field(rig.camera, np.eye(4), rig.far_m),

@@ -1,4 +1,4 @@
-"""The view in a contact sheet: the part of the picture with the bin, and the range of depths."""
+"""The crop of a contact sheet around the bin, and the range of depths for its colours."""
 
 import itertools
 
@@ -10,8 +10,8 @@ from ...rendering import GroundTruth
 from ...rig.optics import project
 from ...world.scene import Scene
 
-_AROUND = 0.04  # The crop has this margin around the bin, as a share of its length.
-_MARGIN = 0.02  # The colours extend beyond the depths by this share of their range.
+_AROUND = 0.04  # margin of the crop around the bin, as a share of the bin's longer side
+_MARGIN = 0.02  # margin of the colour scale around the depths, as a share of their range
 
 Crop = tuple[int, int, int, int]  # left, top, width and height in pixels
 
@@ -19,8 +19,8 @@ Crop = tuple[int, int, int, int]  # left, top, width and height in pixels
 def bin_crop(scene: Scene, truth: GroundTruth) -> Crop:
     """Return the rectangle of the picture that contains the bin and all visible parts.
 
-    The rectangle is at least as wide as high, if the picture allows. Without a bin, or if the lens
-    model does not reach a corner of the bin, it is the whole picture.
+    The rectangle is at least as wide as it is high, if the picture permits. It is the whole picture
+    without a bin, or if the lens model does not reach a corner of the bin.
     """
     camera = scene.rig.camera
     whole = (0, 0, camera.width_px, camera.height_px)
@@ -41,15 +41,15 @@ def bin_crop(scene: Scene, truth: GroundTruth) -> Crop:
     low, high = low - wider_px, high + wider_px
     left, top = np.floor(low).clip(0).astype(int).tolist()
     right, bottom = (np.ceil(high).astype(int) + 1).clip(max=whole[2:]).tolist()
-    if right - left < 2 or bottom - top < 2:  # The bin is out of sight.
+    if right - left < 2 or bottom - top < 2:  # The bin is outside the picture.
         return whole
     return left, top, right - left, bottom - top
 
 
 def depth_limits_mm(scene: Scene, truth: GroundTruth) -> tuple[float, float]:
-    """Return the least and greatest depth of the bin and the visible parts, for the colours.
+    """Return the smallest and largest depth of the bin and of visible parts, for the colours.
 
-    Without a bin, the limits apply to the whole picture.
+    Without a bin, these are the limits of the whole picture.
     """
     if scene.bin is None:
         depth_m = truth.depth_m.ravel()

@@ -18,12 +18,12 @@ from ...world.scene import Environment, Lamp, Layout, Quad, Scene
 from .preview import DPI, pixel_axes
 
 _TILE_PX = (480, 360)
-_FOCAL_PX = 900.0  # A field of 30 degrees gives little perspective, as in a catalogue.
-_FILL = 0.86  # A part takes this share of the tile in its tighter direction.
-_FROM = np.array([0.50, -0.80, 0.55])  # The camera is in front of the part, on its right and above.
+_FOCAL_PX = 900.0  # The field of 30 degrees gives little perspective, as in a catalogue.
+_FILL = 0.86  # share of the tile's height or width that a part fills
+_FROM = np.array([0.50, -0.80, 0.55])  # direction to the camera: in front, on the right and above
 _GAP_PX, _HEAD_PX, _WORDS_PX = 24, 72, 104
 _FLOOR = Material(base_color=(0.5, 0.5, 0.5), specular=0.0)
-_WHITE_LEVEL = 0.55  # The picture shows this radiance [W sr^-1 m^-2] as white.
+_WHITE_LEVEL = 0.55  # radiance [W sr^-1 m^-2] that the picture shows as white
 
 
 def describe_parts(parts: tuple[Part, ...]) -> str:
@@ -53,7 +53,7 @@ def describe_parts(parts: tuple[Part, ...]) -> str:
 def draw_parts(
     parts: tuple[Part, ...], path: Path, *, renderer: Renderer, samples: int = 32
 ) -> None:
-    """Write a PNG: each part fills a tile, on a grey floor, with the part's figures below.
+    """Write a PNG with a tile for each part on a grey floor, and with the part's figures below it.
 
     All parts have the same light and exposure, so their brightness can be compared. Each scene is
     scaled to its part, so sizes cannot be compared. The z axis of the part's frame points up.
@@ -107,7 +107,7 @@ def _portrait(part: Part, *, renderer: Renderer, samples: int) -> UInt8[np.ndarr
     rendering = renderer.render(
         scene,
         layout,
-        np.zeros((1, 2, 2), dtype=np.uint8),  # The projector is dark.
+        np.zeros((1, 2, 2), dtype=np.uint8),  # a dark projector
         quality=Quality(samples=samples, depth=4),
         seed=0,
     )
@@ -119,11 +119,11 @@ def _portrait(part: Part, *, renderer: Renderer, samples: int) -> UInt8[np.ndarr
 
 
 def portrait_scene(part: Part) -> tuple[Scene, Layout]:
-    """Return a scene of a part on a floor under two lamps, with a camera whose picture it fills."""
+    """Return a scene with a part on a floor under two lamps; the part fills the picture."""
     low, high = part.mesh.bounds_m
     middle = (low + high) / 2
     size_m = float(np.linalg.norm(high - low))
-    # The part's middle moves to the world's origin, and the floor is under its lowest point.
+    # The centre of the part moves to the world's origin; the floor touches the lowest point.
     layout = Layout(
         T_world_part=rigid(np.eye(3), -middle)[None], part_index=np.zeros(1, dtype=np.int64)
     )
@@ -158,10 +158,10 @@ def _lamp(at: tuple[float, float, float], size_m: float, *, share: float, radian
 
 
 def _filling_distance_m(mesh: Mesh, towards: Float[np.ndarray, "3"]) -> float:
-    """Return the distance from the camera to the part's middle at which it fills the tile.
+    """Return the distance of the camera from the part's centre at which the part fills the tile.
 
-    A vertex at (x, y, z), from a camera in the middle, appears at f x / (z + d) after the camera
-    has moved back by d. Each vertex needs d >= f |x| / limit - z, and likewise for y.
+    With a camera at the centre, a vertex is at (x, y, z). After the camera has moved back by d, the
+    vertex appears at f x / (z + d). Hence each vertex needs d >= f |x| / limit - z; the same for y.
     """
     T_middle_cam = look_at(np.zeros(3), -towards, np.array([0.0, 0.0, -1.0]))
     point = mesh.vertices_m[np.unique(mesh.faces)] - mesh.bounds_m.mean(axis=0)

@@ -1,7 +1,7 @@
 """A contact sheet of one scene: captured frames, measured depth and ground truth.
 
-Each tile shows the bin from the camera's view. Linear pictures are converted to sRGB for display;
-maps of numbers have a colour bar.
+Each tile shows the bin from the camera's view. Linear pictures are converted to sRGB for display,
+and numerical maps have a colour bar.
 """
 
 import math
@@ -34,23 +34,23 @@ from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part
 from .bin_view import Crop, bin_crop, depth_limits_mm
 
-DPI = 100  # Lengths are in pixels, so a point of type is 1.39 px.
+DPI = 100  # All lengths are in pixels; a point of a font is 1.39 px.
 SHEET_WIDTH_PX = 2400
 COLUMNS = 4
 _MARGIN_PX, _GAP_PX, _HEAD_PX = 30, 18, 96
-_ABOVE_PX = 36  # The title of a tile has this space.
-_BELOW_PX = (14, 52, 84)  # The space below the rows holds nothing, colour bars or a legend.
+_ABOVE_PX = 36  # space for the title above a tile
+_BELOW_PX = (14, 52, 84)  # space below each row: empty, for colour bars, for a legend
 _COARSE_RANK = 2  # The third Gray bit of an axis has a few wide stripes.
-_CLOSE_UP = 4  # In the close-up, a camera pixel has this size, to avoid moire.
+_CLOSE_UP = 4  # size of a camera pixel in the close-up, which avoids moire
 
-# Unknown values are a neutral grey that the colour map does not contain, dark or light.
+# greys for unknown values; neither occurs in the colour map with which it is used
 _DARK, _LIGHT = (0.20, 0.20, 0.22), (0.66, 0.66, 0.66)
 _CODE_MAP, _DEPTH_MAP, _ERROR_MAP = "viridis", "viridis_r", "RdBu_r"
-_ERROR_SHARE, _ERROR_SIGMAS = 99.0, 5.0  # The error scale covers this percentage or these sigmas.
+_ERROR_SHARE, _ERROR_SIGMAS = 99.0, 5.0  # The error scale covers this percentile or these sigmas.
 _LEAST_ERROR_MM = 0.01  # Perfect depth is stored in steps of about this size.
 _ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)  # A scale ends at one of these times a power of 10.
-_EDGE_POINTS = 17  # A distorting lens bends an edge, so it has this many points.
-# Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2), so neighbours differ in one bit.
+_EDGE_POINTS = 17  # number of points on an edge, because a distorting lens bends it
+# Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2), so the ends of an edge differ in one bit.
 _BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit])
 
 
@@ -71,7 +71,7 @@ def preview(shot: Shot, code: Code) -> Image.Image:
         code: code with which the frames were captured.
 
     Raises:
-        ValueError: the numbers of frames of capture and code differ.
+        ValueError: capture and code have different numbers of frames.
     """
     canvas = FigureCanvasAgg(_sheet_of(shot, code))
     canvas.draw()
@@ -98,7 +98,7 @@ def _sheet_of(shot: Shot, code: Code) -> Figure:
 
 
 def pixel_axes(figure: Figure, left: int, top: int, width: int, height: int) -> Axes:
-    """Add axes that cover these pixels of a figure, counted from its top left."""
+    """Add axes that cover the given pixels of a figure, counted from its top left."""
     sheet_width, sheet_height = figure.get_size_inches() * DPI
     bottom = sheet_height - top - height
     return figure.add_axes(
@@ -150,7 +150,7 @@ class _Sheet:
 
 
 def _note(ax: Axes, text: str) -> None:
-    """Write a few words to the right of a tile's title."""
+    """Write a short text to the right of a tile's title."""
     ax.set_title(text, loc="right", fontsize=9, pad=6, color="0.3")
 
 
@@ -189,7 +189,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
 
 
 def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
-    """Draw the white frame, a coarse frame, and a close-up of the finest frame's middle."""
+    """Draw the white frame, a coarse frame, and a close-up of the centre of the finest frame."""
     axis = triangulation_axis(shot.sample.scene.rig)
     index = [k for k, f in enumerate(code.frames) if f.axis == axis and not f.inverse]
     coarse, finest = index[min(_COARSE_RANK, len(index) - 1)], index[-1]
@@ -235,7 +235,7 @@ def painted(
     *,
     unknown: tuple[float, float, float] = _DARK,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a map in the colours of `name`, clipped at the limits; `unknown` for NaN."""
+    """Return a map in the colour map `name`, clipped at the limits; NaN becomes `unknown`."""
     low, high = limits
     share = np.clip((value - low) / max(high - low, 1e-9), 0.0, 1.0)
     color = colormaps[name](np.nan_to_num(share))[..., :3]
@@ -278,10 +278,10 @@ def _draw_error(sheet: _Sheet, shot: Shot) -> None:
 
 
 def error_limit_mm(error_mm: Float[np.ndarray, "h w"]) -> float:
-    """Return the error at which the colours end: the smallest round value that covers the noise.
+    """Return the error at the ends of the colour scale: the smallest round value above the noise.
 
-    The noise extends to five robust sigmas, or to the 99th percentile of the errors if that is less
-    or if more than half of the errors are 0. So outliers do not widen the scale.
+    The limit of the noise is five robust sigmas. It is the 99th percentile of the errors if this is
+    smaller, or if more than half of the errors are 0. Hence outliers do not widen the scale.
     """
     size_mm = np.abs(error_mm[np.isfinite(error_mm)])
     if not size_mm.size:
@@ -315,7 +315,7 @@ def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:
 
 
 def _draw_instances(sheet: _Sheet, shot: Shot) -> None:
-    """Draw visible masks and their boxes, and the oriented boxes of visible labelled parts."""
+    """Draw visible masks, their boxes, and the oriented boxes of visible labelled parts."""
     sample = labelled(shot.sample)
     instance = sample.truth.instance
     color = instance_colors(len(sample.layout.part_index))
@@ -343,7 +343,7 @@ def _rectangle(
 
 
 def instance_colors(n: int) -> Float[np.ndarray, "n 3"]:
-    """Return colours with distinct neighbours: hues at golden-section steps of the circle."""
+    """Return colours in which neighbouring indices differ clearly (hues by the golden section)."""
     hue = (0.07 + np.arange(n) * 0.618033988749895) % 1.0
     light = np.array([0.52, 0.64, 0.42])[np.arange(n) % 3]
     colors = [hls_to_rgb(h, level, 0.85) for h, level in zip(hue, light, strict=True)]
@@ -355,8 +355,8 @@ def tinted(
     instance: Int[np.ndarray, "h w"],
     color: Float[np.ndarray, "n 3"],
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a picture with instances tinted but still shaded; index -1 is unchanged."""
-    own = np.concatenate([color, np.zeros((1, 3))])[instance]  # Index -1 is replaced below.
+    """Return a picture with tinted instances that keep their shading; index -1 is unchanged."""
+    own = np.concatenate([color, np.zeros((1, 3))])[instance]  # The colour of index -1 is not used.
     shaded = own * (0.6 * 255 + 0.4 * picture)
     image = np.where(instance[..., None] >= 0, shaded, picture.astype(np.float64))
     return np.round(image).astype(np.uint8)
@@ -365,7 +365,7 @@ def tinted(
 def box_edges_px(
     part: Part, T_cam_part: Float[np.ndarray, "4 4"], camera: Optics
 ) -> Float[np.ndarray, "12 points 2"]:
-    """Return the twelve projected edges of a part's own bounding box, with lens distortion.
+    """Return the twelve projected edges of a part's oriented bounding box, with lens distortion.
 
     Points that the lens model does not cover, such as those behind the camera, are NaN.
     """

@@ -1,7 +1,7 @@
-"""The page of a rescan: the perfect depth of each image next to the measured depth.
+"""The page of a rescan, which shows perfect and measured depth of each image next to each other.
 
-The page is one HTML file without scripts, with pictures in its folder. If there are more images
-than the page can show, it shows evenly spaced images.
+The page is one HTML file without scripts; its pictures are in the same folder. If there are too
+many images, it shows evenly spaced images.
 """
 
 import html
@@ -23,10 +23,10 @@ from .page.packing import jpeg, palette_picture, shrunk
 from .preview import painted
 
 PAGE = "rescan.html"
-_MOST = 60  # At most this number of images is drawn.
+_MOST = 60  # largest number of images on the page
 _QUALITY = 88
 _BLACK = (0.0, 0.0, 0.0)
-_ERROR_MM = 1.0  # The colour scale of the error maps ends at this error.
+_ERROR_MM = 1.0  # error at the ends of the colour scale of error maps
 _HEADS = (
     "picture",
     "white frame",
@@ -99,7 +99,7 @@ def write_rescan_page(
 def _pictures(
     scene: Path, number: int, record: ImageRecord, claim: RescanClaim
 ) -> tuple[dict[str, UInt8[np.ndarray, "h w 3"]], Float[np.ndarray, " n"]]:
-    """Return an image's pictures by column heading, and its depth errors [mm]."""
+    """Return the pictures of an image by column heading, and its depth errors [mm]."""
     own, original = SceneFolder(scene), SceneFolder(scene, claim.config["sensor"])
     scanned_mm = _depth_mm(own.png("depth_sl", number), claim.depth_scale_mm)
     gray = srgb_of_bytes(own.png("gray_sl", number))

@@ -1,7 +1,7 @@
 """A rig as a picture and as text: the fields of camera and projector, and their common field.
 
-All drawings are in the camera frame: x right, y down, z depth. A field is traced from the image
-borders through the lens model, with distortion but without occlusion, focus and light.
+All drawings are in the camera frame: x right, y down, z depth. A field is traced from the borders
+of the image through the lens model, with distortion but without occlusion, focus and light.
 """
 
 import math
@@ -19,15 +19,15 @@ from ...rig.optics import Optics, rays
 from ...rig.pair import Rig, depth_per_line_m
 
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
-_BORDER_POINTS = 33  # Distorted borders are curved, so each side has this many points.
+_BORDER_POINTS = 33  # number of points on each side of a border, because distortion bends it
 _DEPTHS = 61
-_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # The last width is for words beside the plots.
+_WIDTH_IN, _PLOTS_IN, _WORDS_IN = 15.0, 12.6, 0.9  # `_WORDS_IN` is the space for labels.
 
 
 def footprint_m(
     optics: Optics, T_cam_device: Float[np.ndarray, "4 4"], z_m: float
 ) -> Float[np.ndarray, "n 2"]:
-    """Return the outline (x, y) of a device's field on the plane at depth `z_m`, camera frame.
+    """Return the outline (x, y) of a device's field on the plane z = `z_m` in the camera frame.
 
     Args:
         optics: the camera or the projector.
@@ -35,7 +35,7 @@ def footprint_m(
         z_m: depth of the plane [m], camera frame.
 
     Returns:
-        Corners of the outline in order [m]; empty if a border ray never meets the plane.
+        Corners of the outline in order [m]; empty if a border ray does not meet the plane.
     """
     direction = rays(optics, _border_px(optics)) @ T_cam_device[:3, :3].T
     origin = T_cam_device[:3, 3]
@@ -48,7 +48,7 @@ def footprint_m(
 def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
     """Return the outline (x, y) of the common field at depth `z_m`, in the camera frame.
 
-    If distorted outlines overlap in several pieces, it is the largest; without overlap, empty.
+    If distorted outlines overlap in several pieces, return the largest; empty without overlap.
     """
     outlines = (
         footprint_m(rig.camera, np.eye(4), z_m),
@@ -62,7 +62,7 @@ def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
 
 
 def describe_rig(rig: Rig) -> str:
-    """Return the rig's figures as text, one per line; lengths in mm, angles in degrees."""
+    """Return the rig's figures as text, one per line, with lengths in mm and angles in degrees."""
     lines = [
         f"rig {rig.name}",
         f"  baseline          {1e3 * rig.baseline_m:.1f} mm",
@@ -80,7 +80,7 @@ def describe_rig(rig: Rig) -> str:
 
 
 def draw_rig(rig: Rig, path: Path) -> None:
-    """Write a PNG: the rig from above and from the side, depth per column or row, and the fields.
+    """Write a PNG with the rig from above and from the side, depth per column or row, and fields.
 
     Raises:
         GraycastError: the file cannot be written.
@@ -96,7 +96,7 @@ def draw_rig(rig: Rig, path: Path) -> None:
         _draw_fields(ax, rig, name, z_m)
     _share_limits(axes[1])
     _share_scale(axes[0, :2])
-    # Each row has the height of its drawings at one scale, so that no space stays empty.
+    # The heights of the rows fit their drawings at one scale, so that no space remains empty.
     spans = [abs(np.diff(ax.get_xlim()).item()) for ax in axes[0, :2]]
     above.set_width_ratios([*spans, sum(spans) / 2])
     depth = abs(np.diff(axes[0, 0].get_ylim()).item())
@@ -114,7 +114,7 @@ def draw_rig(rig: Rig, path: Path) -> None:
 
 
 def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
-    """Draw a view with depth downwards: from above (`across` is 0, x) or the side (1, y)."""
+    """Draw a view with depth downwards, from above (`across` = 0, x) or from the side (1, y)."""
     bottom_m = rig.far_m + 0.08 * (rig.far_m - rig.near_m)
     devices = (
         ("camera", rig.camera, np.eye(4), _CAMERA),
@@ -144,7 +144,7 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
         ax.annotate(
             name, (0.01, 1e3 * z), xycoords=("axes fraction", "data"), va="bottom", color="gray"
         )
-    # A device that looks sideways has an unlimited field, so the view is limited to the rig's size.
+    # The field of a device that looks sideways is unlimited, so the view has the rig's size.
     widest_mm = 2e3 * max(bottom_m, rig.baseline_m)
     left_mm, right_mm = ax.get_xlim()
     ax.set_xlim(max(left_mm, -widest_mm), min(right_mm, widest_mm))
@@ -193,7 +193,7 @@ def _draw_fields(ax: Axes, rig: Rig, name: str, z_m: float) -> None:
 
 
 def _share_limits(axes: np.ndarray) -> None:
-    """Give the three fields the same scale, so that their sizes can be compared."""
+    """Give all fields the same scale, so that their sizes can be compared."""
     x = [limit for ax in axes for limit in ax.get_xlim()]
     y = [limit for ax in axes for limit in ax.get_ylim()]
     for ax in axes:
@@ -202,7 +202,7 @@ def _share_limits(axes: np.ndarray) -> None:
 
 
 def _share_scale(axes: np.ndarray) -> None:
-    """Give both views the same range of depth, so that distances have the same length."""
+    """Give both views the same range of depth, so that lengths can be compared."""
     bottom, top = axes[0].get_ylim()
     for ax in axes:
         low, high = ax.get_ylim()
@@ -233,7 +233,7 @@ def _field_words(rig: Rig, z_m: float) -> str:
 
 
 def _edges(outline: Float[np.ndarray, "n 2"], across: int) -> tuple[float, float]:
-    """Return the lowest and highest coordinate along an axis; NaN for an empty outline."""
+    """Return the smallest and largest coordinate along an axis; NaN for an empty outline."""
     if not len(outline):
         return math.nan, math.nan
     return outline[:, across].min(), outline[:, across].max()

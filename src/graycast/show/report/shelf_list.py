@@ -1,4 +1,4 @@
-"""A list of the named scanners, or of those that see a required field well enough."""
+"""List the named scanners, or those that measure a required field accurately enough."""
 
 import numpy as np
 from jaxtyping import Float
@@ -15,16 +15,16 @@ Size = tuple[float, float]
 def shelf_lines(
     *, field_m: Size | None = None, at_m: float | None = None, noise_m: float | None = None
 ) -> list[str]:
-    """Return a line for each suitable scanner; each number is marked with the class of its source.
+    """Return a line for each suitable scanner; numbers are marked with the class of their source.
 
     `rig.shelf.LEGEND` explains the classes.
 
     Args:
-        field_m: sides of a rectangle that must fit into the common field at `at_m`, if given.
-        at_m: a distance along the camera's axis, inside the working range. The line gives the
-            field at this distance, or in the middle of the range if it is None.
-        noise_m: the largest temporal noise of depth (one sigma) at `at_m`. A scanner without a
-            measurement is not suitable.
+        field_m: sides of a rectangle that must fit into the common field at `at_m`, or None.
+        at_m: a distance along the camera's axis, inside the working range. The line states the
+            field at this distance, or at the middle of the range if it is None.
+        noise_m: the largest temporal noise of depth (one sigma) at `at_m`. A scanner without
+            a measured noise is then not suitable.
     """
     lines = []
     for name in PRESETS:
@@ -44,8 +44,8 @@ def shelf_lines(
 def covers(rig: Rig, field_m: Size, z_m: float) -> bool:
     """Return whether a rectangle fits into the common field at a depth, along x or along y.
 
-    A convex field contains the rectangle around a point if it contains its four corners. The four
-    fields that are shifted by the corners must therefore have a point in common.
+    A convex field contains a rectangle around a point if it contains the four corners. This is true
+    for a point that the four fields, shifted by the four corners, have in common.
     """
     field = common_field(rig, z_m)
     if not len(field):
@@ -64,9 +64,9 @@ def _holds(outline: CrossSection, half_m: Float[np.ndarray, "2"]) -> bool:
 def stored_noise_m(name: str, z_m: float) -> float | None:
     """Return the temporal noise of depth at a distance, from three measured distances.
 
-    An error in the projector's picture causes a depth error in proportion to `z^2 / (f b)` (similar
-    triangles). So noise divided by `z^2` is interpolated linearly between the three distances, and
-    constant outside. The result is None if the scanner has not been measured.
+    An error of the projector position causes a depth error proportional to `z^2 / (f b)` (similar
+    triangles). Therefore noise divided by `z^2` is interpolated linearly between the three
+    distances; it is constant outside. The result is None if the scanner has not been measured.
     """
     own = measured().scanners.get(name)
     if own is None:

@@ -1,6 +1,6 @@
 "use strict";
-// The controls of the settings: a slider, a number or a choice for each, the cost of a change, and a
-// button that restores the default.
+// The controls of the settings. Each has a slider, a number or a choice, the cost of a change, and
+// a button that restores the default.
 
 {
   const { el } = Graycast;
@@ -36,7 +36,7 @@
 
   const digits = (number) => Number(number.toPrecision(4));
 
-  /** Show a header's controls; `set(key, value, draft)` is called for each action of the user. */
+  /** Show a header's controls; each action of the user calls `set(key, value, draft)`. */
   Graycast.showControls = (panel, { controls, values }, said, set) => {
     const listed = JSON.stringify(controls);
     if (panel.dataset.listed !== listed) {
@@ -132,7 +132,8 @@
     });
     const show = (now) => {
       const known = typeof now === "number";
-      // The rest of the section comes from a file; nothing can be sent until it has been read.
+      // A file determines the rest of the section, so nothing can be sent until the file has been
+      // read.
       const sendable = !control.whole || panel.values[control.whole] !== undefined;
       range.disabled = number.disabled = !sendable;
       element.classList.toggle("unset", !known);

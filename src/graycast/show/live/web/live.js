@@ -1,5 +1,5 @@
 "use strict";
-// The page: the settings, their pictures as they arrive, and two pictures side by side.
+// The page: the settings, their pictures as they arrive, and two pictures next to each other.
 
 {
   const { el, percent, words } = Graycast;
@@ -44,7 +44,7 @@
   const waiting = []; // commands that have not been sent
   let sending = false;
 
-  /** Send a command after the waiting ones; of waiting drafts for a key, only the last is sent. */
+  /** Send a command after the waiting commands; of waiting drafts for a key, send only the last. */
   function send(command) {
     const last = waiting.at(-1);
     if (command.draft && last?.draft && last.key === command.key) waiting.pop();
@@ -124,7 +124,7 @@
     }
   }
 
-  /** Show a text where the first picture will appear. */
+  /** Show a text at the place of the first picture. */
   function wait(text) {
     const place = at("waiting");
     if (place) place.textContent = text;
@@ -132,7 +132,7 @@
 
   let fetching = null;
   let again = false;
-  /** Fetch the newer answers, with one request at a time. */
+  /** Fetch newer answers, with one request at a time. */
   function fetchNewer() {
     if (fetching) {
       again = true;
@@ -533,7 +533,7 @@
     if (!on && at("text").value !== state.text) at("text").value = state.text;
   }
 
-  /** Show the configuration's text, where every key can be set; a rejected text stays for editing. */
+  /** Show the configuration's text, where every key can be set; a refused text stays for editing. */
   function allWords() {
     let words = at("all-words");
     if (!words) {

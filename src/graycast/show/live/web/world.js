@@ -1,6 +1,6 @@
 "use strict";
 // The cell in 3D: the bin, the parts, both fields of view, their common volume and the scanned
-// points; and the rig, which can be dragged around the point that it looks at.
+// points. The rig can be dragged around the point at which it looks.
 
 {
   const { el } = Graycast;
@@ -76,7 +76,7 @@
     const cloud = Graycast.makeCloud(scene, { space, bodies, perfect: false });
     const { stage } = cloud;
 
-    /** Show the points of another picture; a map of reasons needs also points without depth. */
+    /** Show the points of another picture; a map of reasons also needs points without depth. */
     const swap = () => {
       const everywhere = prefs.pointPaint === "reason";
       const shown = everywhere ? { ...scene, scanner: scene.depth } : scene;

@@ -1,4 +1,4 @@
-"""The web page of a dataset: static files that a browser opens from the disk."""
+"""The web page of a dataset, which consists of static files that a browser opens from the disk."""
 
 from .dataset_page import WIDTH_PX, write_report
 from .pieces import ReportSummary

@@ -1,4 +1,4 @@
-"""Build a dataset's page: only new or changed scenes, each completely or not at all."""
+"""Build the page of a dataset; only new or changed scenes are written, each completely or not."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,12 +23,12 @@ from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_we
 from .scene_files import scene_page_files
 from .walls import dataset_walls
 
-WIDTH_PX = 1300  # Maps of wider cameras are thinned; a camera with 1032 columns keeps all.
-_FORM = "5"  # If this changes, the files of all scenes are built again.
+WIDTH_PX = 1300  # Wider maps are thinned; a camera with 1032 columns keeps all of them.
+_FORM = "5"  # version of the page's files; a change makes all scenes outdated
 FUSED = "fused.js"
-_STEPS = 65535  # The cloud's longest side has this many steps, all that 16 bits hold.
-_MOST = 400000  # A browser draws this many points smoothly.
-_SIGMA_STEP_MM = 0.002  # With 8 bits, these steps reach half a millimetre.
+_STEPS = 65535  # number of 16-bit steps along the longest side of a cloud
+_MOST = 400000  # largest number of points that a browser draws smoothly
+_SIGMA_STEP_MM = 0.002  # With 8 bits, sigma is limited to half a millimetre.
 _PICTURES, _MAPS = ("depth_sl", "rgb"), ("column_sl", "row_sl")
 _WEB = Web(
     package=__package__,
@@ -76,7 +76,7 @@ class _ScenePiece:
 
 
 def _stamped(scene: StoredScene) -> list[str]:
-    """Return the files whose changes make a picture's page outdated, including the manifest."""
+    """Return the files of a picture whose changes make its page outdated, with the manifest."""
     frames = frames_folder(scene.sensor, scene.image)
     pictures = (picture_name(kind, scene.image, scene.sensor) for kind in _PICTURES)
     maps = (Path(picture_name(kind, scene.image, scene.sensor)) for kind in _MAPS)
@@ -99,19 +99,19 @@ def write_report(
     files: Path = Path(),
     progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
-    """Write a dataset's page, or update it.
+    """Write the page of a dataset, or update it.
 
-    A scene whose files have not changed since its page was made is skipped, so a stopped build can
-    be continued. Pages of removed scenes are removed.
+    Scenes whose files have not changed since their pages were made are skipped, so that a stopped
+    build can be continued. Pages of removed scenes are removed.
 
     Args:
-        out: folder for the page, which is new, empty or holds an earlier report.
+        out: folder for the page; it must be new, empty or hold an earlier report.
         workers: number of processes.
         width_px: wider maps are thinned; see `scene_page_files`.
         detections: results to show in the scenes: a file of COCO results, or a folder of
             `graycast detector find`. None removes the results of an earlier build.
-        files: the folder in which the relative path of the bin's mesh begins. Without that file,
-            the 3D view has no bin.
+        files: the folder that the path of the bin's mesh is relative to. Without that file, the 3D
+            view has no bin.
         progress: meter that counts the scenes.
 
     Raises:
@@ -161,7 +161,7 @@ def _write_page(
 
 
 def fused_script(stored: StoredDataset, first: StoredScene) -> bytes:
-    """Return the script of a scene's fused cloud, under the first picture's key.
+    """Return the script of a scene's fused cloud, stored with the first picture's key.
 
     Raises:
         DatasetError: a file is missing or damaged.
@@ -174,7 +174,7 @@ def fused_script(stored: StoredDataset, first: StoredScene) -> bytes:
 
 
 def _packed(cloud: FusedCloud, stride: int) -> dict[str, Any]:
-    """Return points [mm, world] as 16-bit steps from a corner, and other data as bytes."""
+    """Return points [mm, world frame] as 16-bit steps from a corner, and other data as bytes."""
     place_mm = 1000 * cloud.point_m[::stride]
     low = place_mm.min(axis=0) if len(place_mm) else np.zeros(3)
     step = float(max((place_mm - low).max(initial=0.0), 1.0) / _STEPS)

@@ -1,7 +1,7 @@
 """Detections for the page: figures for the grid's filters, and outlines for each scene.
 
-Detections with lower scores do not change what a detection matches. A score threshold therefore
-only selects detections, which the page can do.
+The match of a detection does not depend on detections with lower scores. Therefore a threshold on
+the score only selects detections, which the page itself can do.
 """
 
 from collections.abc import Iterator
@@ -23,8 +23,8 @@ _DIGITS = 4
 def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]:
     """Return data for the grid's filters: instances to find, and scores of hits and mistakes.
 
-    Matches are judged by masks if there are any, else by boxes. Detections belong to pictures in
-    `train/`, however these are divided into sets.
+    Matches are those of masks if there are masks, else those of boxes. Detections belong to
+    pictures in `train/`, however these are divided into sets.
     """
     judgement = _judgement(evaluation)
     point = judgement.point
@@ -45,7 +45,7 @@ def detection_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, 
     return {
         "name": evaluation.run.name,
         "kind": judgement.kind,
-        # The score is rounded down, so that the detection with this score still counts on the page.
+        # The score is rounded down, so that the page still includes the detection with this score.
         "score": 0.5 if np.isnan(point.score) else float(np.floor(point.score * 100) / 100),
         "told": evaluation_summary(evaluation).splitlines(),
         "scenes": rows,

@@ -66,7 +66,7 @@ _COLUMNS = (
 
 
 def _scene_row(one: SceneFigures) -> list[Any]:
-    """Return a scene's row for filters and sorting; it is short for pages with many scenes."""
+    """Return a scene's row for filters and sorting, which is short because pages load all rows."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     visible = [share for share in one.visib_fract if share is not None]
     return [
@@ -122,13 +122,13 @@ def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
 
 
 def _scanners(stored: StoredDataset) -> dict[str, Any]:
-    """Return each scanner's rig and code by scanner name, or None if they are unknown."""
+    """Return rig and code of each scanner by the scanner's name; None for unknown values."""
     takers = {sensor: stored.taker(sensor) for sensor in stored.sizes_px}
     return {name: {"rig": taker.get("rig"), "code": _code(taker)} for name, taker in takers.items()}
 
 
 def _code(taker: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return the frames' levels along their own axes; None if the code is unknown."""
+    """Return the levels of all frames along their axes; None if the code is unknown."""
     rig, settings = taker.get("rig"), taker.get("scanner", {}).get("code")
     if not rig or not settings:
         return None

@@ -1,8 +1,8 @@
 """Encode pictures, maps and records as text in a script.
 
-A page that is opened from the disk can read neither files by `fetch` nor the pixels of an image
-file, but it can run scripts. All its data are therefore text in scripts: pictures as data URLs,
-and maps of numbers as bytes in zlib and base64. `web/core.js` decodes them.
+A page that is opened from the disk can run scripts, but it can read neither files by `fetch` nor
+the pixels of an image file. Therefore all data are text in scripts: pictures are data URLs, and
+maps are bytes in zlib and base64. `web/core.js` decodes them.
 """
 
 import base64
@@ -30,12 +30,12 @@ def receiving(content: Mapping[str, Any]) -> bytes:
 
 
 def report_script(content: Mapping[str, Any]) -> bytes:
-    """Return the script with the data that a whole page shares."""
+    """Return the script with the data that all parts of a page share."""
     return f"Graycast.report = {_json(content)};\n".encode()
 
 
 def reason_records() -> list[dict[str, Any]]:
-    """Return the reasons of missing depth for the legends of pages."""
+    """Return the reasons for missing depth for the legends of pages."""
     return [
         {
             "number": int(reason),
@@ -64,15 +64,15 @@ def plain_text(array: np.ndarray) -> str:
 
 
 def pack_bytes(values: UInt8[np.ndarray, "h w"]) -> str:
-    """Return a map of bytes, row by row, compressed."""
+    """Return the bytes of a map, row by row, compressed."""
     return _text(np.ascontiguousarray(values).tobytes())
 
 
 def pack_words(values: UInt16[np.ndarray, "h w"], *, level: int = _LEVEL) -> str:
-    """Return a map of 16-bit numbers, each as its residual to a plane through three neighbours.
+    """Return a map of 16-bit numbers, stored as residuals of a prediction from three neighbours.
 
-    It is `d[r, c] = v[r, c] - v[r-1, c] - v[r, c-1] + v[r-1, c-1]` modulo 2^16, with 0 outside, low
-    bytes before high bytes. On flat surfaces it is a step or two, for a third of a PNG's size.
+    The residual is `v[r, c] - v[r-1, c] - v[r, c-1] + v[r-1, c-1]` modulo 2^16, with v = 0 outside;
+    low bytes precede high bytes. Small residuals on planes need a third of a PNG's size.
     """
     wide = np.pad(values.astype(np.int32), ((1, 0), (1, 0)))
     left_over = wide[1:, 1:] - wide[:-1, 1:] - wide[1:, :-1] + wide[:-1, :-1]
@@ -82,9 +82,9 @@ def pack_words(values: UInt16[np.ndarray, "h w"], *, level: int = _LEVEL) -> str
 
 
 def pack_difference(values: UInt16[np.ndarray, "h w"], base: UInt16[np.ndarray, "h w"]) -> str:
-    """Return a map's difference to a base map modulo 2^16; 0 where the map has no value.
+    """Return a map's difference from a base map modulo 2^16; 0 where the map has no value.
 
-    Signed differences are first mapped to small positive numbers (2 d, or -2 d - 1).
+    A signed difference d is first mapped to a small positive number (2 d, or -2 d - 1).
     """
     d = values.astype(np.int32) - base
     d = np.where(values > 0, (d + _WHOLE // 2) % _WHOLE - _WHOLE // 2, 0)
@@ -101,12 +101,12 @@ def jpeg(picture: UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w"], quality
 
 
 def jpeg_url(picture: UInt8[np.ndarray, "..."], quality: int) -> str:
-    """Return a JPEG as a data URL, because scripts can read its pixels, unlike a file's."""
+    """Return a JPEG as a data URL, because scripts can read its pixels, unlike those of a file."""
     return "data:image/jpeg;base64," + base64.b64encode(jpeg(picture, quality)).decode()
 
 
 def shrunk(picture: UInt8[np.ndarray, "..."], width_px: int) -> UInt8[np.ndarray, "..."]:
-    """Return a picture reduced to at most this width, by averaging over areas."""
+    """Return a picture reduced to at most this width by area averaging."""
     height_px = max(round(picture.shape[0] * width_px / picture.shape[1]), 1)
     if width_px >= picture.shape[1]:
         return picture
@@ -116,7 +116,7 @@ def shrunk(picture: UInt8[np.ndarray, "..."], width_px: int) -> UInt8[np.ndarray
 def palette_picture(
     index: Int[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], colors: dict[int, str]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return numbers as a picture in their colours (`#rrggbb`), or black without a colour."""
+    """Return an image with the colour (`#rrggbb`) of each number; numbers without one are black."""
     table = np.zeros((256, 3), dtype=np.uint8)
     for number, color in colors.items():
         table[number] = list(bytes.fromhex(color[1:]))

@@ -1,4 +1,4 @@
-"""A page made of pieces, one per scene or bin; only new or changed pieces are written."""
+"""Build a page from pieces, one per scene or bin; only new or changed pieces are written."""
 
 import hashlib
 import shutil
@@ -17,7 +17,7 @@ from ....base.folder import beside, remove_left, write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....base.spawn import SPAWN
 
-PIECES = "scenes"  # The scripts of the page read the pieces from this folder.
+PIECES = "scenes"  # folder from which the scripts of the page read the pieces
 _STAMP = "stamp"
 _MARK = "graycast-report"
 
@@ -30,7 +30,7 @@ class Piece(Protocol):
     def key(self) -> str: ...
 
     def stamp(self) -> str:
-        """Return a text that changes when the files must be made again."""
+        """Return a string that changes when the files must be made again."""
         ...
 
     def files(self) -> Iterator[tuple[str, bytes]]:
@@ -40,7 +40,7 @@ class Piece(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportSummary:
-    """The result of a build; a browser opens the file `page`."""
+    """Result of a build: the `page` to open, and the numbers of pieces."""
 
     page: Path
     built: int
@@ -49,7 +49,7 @@ class ReportSummary:
 
 
 def stamp_of(text: str, folder: Path, names: Iterable[str]) -> str:
-    """Return a digest of a text and of the files' state; missing files are left out."""
+    """Return a digest of a string and of the files' state; missing files are skipped."""
     digest = hashlib.sha256(text.encode())
     for name in names:
         path = folder / name
@@ -64,7 +64,7 @@ def writing_page(out: Path, source: Path) -> Iterator[None]:
     """Open the page's folder, and convert disk errors inside the block to `GraycastError`.
 
     Args:
-        out: a folder that is new, empty, or holds an earlier report.
+        out: a folder that is new, is empty, or holds an earlier report.
         source: the folder that the page describes.
 
     Raises:
@@ -95,7 +95,7 @@ def write_pieces(
     Args:
         out: the page's folder, opened with `writing_page`.
         workers: number of processes.
-        what: the kind of the pieces, for `progress`, which counts them.
+        what: name of the pieces, with which `progress` counts them.
     """
     folder = out / PIECES
     remove_left(folder)
@@ -116,20 +116,20 @@ def write_pieces(
 class Web:
     """The files that a browser loads, and the values of the page template.
 
-    `styles` and `scripts` are files of the folder `web` in `package`, or else in this package, in
-    loading order. The template itself loads style.css, core.js and index.js first, and app.js last,
-    because every page needs them.
+    `styles` and `scripts` are files, in loading order, of the folder `web` in `package` or in this
+    package. Every page also needs style.css, core.js and index.js, which the template loads first,
+    and app.js, which it loads last.
     """
 
     package: str
     title: str
-    home: str  # A browser describes the link to the overview by this text.
+    home: str  # text of the link to the overview
     styles: tuple[str, ...] = ()
     scripts: tuple[str, ...]
 
 
 def write_web(out: Path, web: Web) -> None:
-    """Write the files that a browser loads, except index.js, which holds the page's content."""
+    """Write the files that a browser loads, except index.js, which contains the page's data."""
     folders = [resources.files(name).joinpath("web") for name in (web.package, __package__)]
     for name in ("style.css", "core.js", "app.js", *web.styles, *web.scripts):
         file = next(file for folder in folders if (file := folder.joinpath(name)).is_file())
@@ -176,7 +176,7 @@ def _finished_keys(todo: Sequence[Piece], folder: Path, workers: int) -> Iterato
 
 
 def _make(piece: Piece, *, folder: Path) -> str:
-    stamp = piece.stamp()  # A piece that changes while it is read is made again later.
+    stamp = piece.stamp()  # If the piece changes while it is read, it is made again next time.
     with beside(folder / piece.key) as aside:
         aside.mkdir()
         for name, data in piece.files():

@@ -1,7 +1,7 @@
-"""The page's files of one scene: a script with its maps, thumbnails and figures.
+"""The page's files for one scene: a script with its maps and figures, and thumbnails.
 
-Captured frames and decoded projector positions, which not every dataset has, are separate scripts
-that are loaded on demand.
+Captured frames and decoded projector positions, which not every dataset has, are in separate
+scripts that the page loads on demand.
 """
 
 import math
@@ -34,8 +34,8 @@ from .packing import (
 
 THUMB_PX = 288
 _THUMB_QUALITY, _FRAME_QUALITY, _PICTURE_QUALITY = 80, 85, 90
-_FAST = 2  # This is a fast level of zlib, because code maps are noisy.
-_STEPS = 65534  # Of the 16-bit values, 0 means missing, and steps begin at 1.
+_FAST = 2  # fast level of zlib, because noisy code maps are hard to compress
+_STEPS = 65534  # largest number of steps in 16 bits; they begin at 1, because 0 means missing
 MISSING_COLOR = "#555b6e"
 
 
@@ -45,8 +45,8 @@ def scene_page_files(
     """Yield every file of one scene as (name, content).
 
     Args:
-        width_px: wider maps are thinned: every second, third, ... pixel in both directions keeps
-            its value. Pictures are averaged.
+        width_px: maps that are wider are thinned: only every second, third, ... pixel is kept in
+            both directions. Pictures are averaged.
 
     Raises:
         DatasetError: a captured frame or a code map is missing or damaged.
@@ -72,7 +72,7 @@ def scene_page_files(
 
 
 def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
-    """Return all captured pictures in sRGB, with the sensor's offset as 0 and saturation as 255."""
+    """Return all captured frames in sRGB; the sensor's offset is 0 and saturation is 255."""
     sensor, capture = raw.scanner.sensor, raw.capture
     if capture is None:
         raise ValueError("no picture was captured")
@@ -94,7 +94,7 @@ def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
 def columns_script(
     name: str, code_maps: Mapping[str, Float32[np.ndarray, "h w"]], stride: int
 ) -> dict[str, Any]:
-    """Return positions and sigmas in steps of a power of two [px]; 0 means missing."""
+    """Return positions and sigmas as numbers of steps (a power of 2 in px); 0 means missing."""
     return {
         "key": name,
         "maps": {axis: _packed(image[::stride, ::stride]) for axis, image in code_maps.items()},
@@ -199,7 +199,7 @@ def _instances(scene: SceneContent) -> list[dict[str, Any]]:
 
 
 def _reason_thumb(scene: SceneContent) -> bytes:
-    """Return a thumbnail of reasons without averaging: mixed colours could mean a wrong reason."""
+    """Return a subsampled thumbnail of reasons; a mean colour could mean another reason."""
     stride = max(-(-scene.reason.shape[1] // THUMB_PX), 1)
     names = {**scene.reason_name, NO_REASON: "missing"}
     colors = {number: REASON_COLOR.get(name, MISSING_COLOR) for number, name in names.items()}

@@ -1,4 +1,4 @@
-"""Meshes in a form for the pages' 3D views, and the bin of a dataset."""
+"""Meshes in the form for the pages' 3D views, and the bin of a dataset."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from ....world.parts import Mesh
 from ....world.scene import Bin, bin_mesh
 from .packing import pack_bytes
 
-UPRIGHT = 0.9  # A face points up if the cosine of its angle to the vertical is larger.
+UPRIGHT = 0.9  # least cosine between the vertical and the normal of a face that points up
 
 
 def dataset_walls(dataset: StoredDataset, files: Path) -> dict[str, Any] | None:
@@ -32,9 +32,9 @@ def dataset_walls(dataset: StoredDataset, files: Path) -> dict[str, Any] | None:
 
 
 def packed_walls(box: Bin) -> dict[str, Any]:
-    """Return the inside and the rim of a bin, and by how much each vertex moves if the bin grows.
+    """Return a bin's inner sides and rim, and how far each vertex moves if the bin grows.
 
-    With a size factor f of a domain, the vertices are `vertices + (f - 1) * growth`. The walls of
+    If the domain scales the bin by f, the vertices are `vertices + (f - 1) * growth`. The walls of
     a box keep their thickness.
     """
     mesh = open_bin(box)
@@ -46,7 +46,7 @@ def packed_walls(box: Bin) -> dict[str, Any]:
 
 
 def open_bin(box: Bin) -> Mesh:
-    """Return a bin without its outer sides, so that its inside is visible from anywhere."""
+    """Return a bin without its outer sides, so that its inside is visible from everywhere."""
     whole = bin_mesh(box)
     normal, centre = whole.face_normal, whole.vertices_m[whole.faces].mean(axis=1)
     low, high = whole.bounds_m
@@ -56,7 +56,7 @@ def open_bin(box: Bin) -> Mesh:
 
 
 def packed_mesh(mesh: Mesh) -> dict[str, Any]:
-    """Return vertices [mm] and faces in the form that a page unpacks."""
+    """Return vertices [mm] and faces in the format that a page unpacks."""
     mesh = replace(mesh, corner_uv=None, corner_normals=None)
     return {
         "vertices": packed_values((1e3 * mesh.vertices_m).astype("<f4")),

@@ -1,4 +1,4 @@
-"""The page's files for a bin: a thumbnail, a script of attempts, and a script per scan."""
+"""The page's files for a bin: a thumbnail, a script of attempts, and a script for each scan."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from ..page.packing import jpeg, jpeg_url, pack_words, receiving, shrunk
 from ..page.pieces import stamp_of
 from .bodies import packed_places, placed
 
-_FORM = "2"  # If this changes, the files of all bins are built again.
+_FORM = "2"  # version of the files; a change makes the files of all bins outdated
 _QUALITY = 85
 _THUMB_PX = 480
 _ATTEMPT_KEYS = (
@@ -27,7 +27,7 @@ _ATTEMPT_KEYS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinPiece:
-    """A bin in a folder of picks; for `cell_folder` see `open_replay`."""
+    """A bin in a folder of picks; for `cell_folder`, see the argument `folder` of `open_replay`."""
 
     out: Path
     cell_folder: Path
@@ -107,7 +107,7 @@ def _attempt_record(attempt: Mapping[str, Any], work_s: Mapping[str, float]) -> 
 
 
 def _packed_motion(motion: Motion | None, still: np.ndarray) -> dict[str, Any]:
-    """Return a motion for the page; an arm that does not move is stored as one time step."""
+    """Return a motion for the page; if the arm does not move, it has a single time step."""
     if motion is None:
         return {"time_s": [0.0], "limbs": packed_places(still[None]), "part": None}
     return {

@@ -1,4 +1,4 @@
-"""Poses of bodies for the page, and the page's table and viewpoint."""
+"""Poses of bodies for the page, and the table and the viewpoint of the page's 3D view."""
 
 from typing import Any
 
@@ -15,22 +15,22 @@ TABLE_BEYOND_M = 0.25
 
 
 def table(replay: Replay) -> Mesh:
-    """Return the part of the table that carries the bin, the robot and the placed parts."""
+    """Return the area of the table under the bin, the robot and the place of released parts."""
     box, config = replay.cell.box, replay.cell.config
     low, high = box.bounds_m
     stands = np.array([low, high, config.robot.base_m, config.picking.place_m])[:, :2]
     (x0, y0), (x1, y1) = stands.min(axis=0) - TABLE_BEYOND_M, stands.max(axis=0) + TABLE_BEYOND_M
-    z = -box.floor_m - 1e-3  # The table is below the bin's own floor.
+    z = -box.floor_m - 1e-3  # just below the bin's own floor, so that both stay visible
     corners = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
     return Mesh(vertices_m=corners, faces=np.array([[0, 1, 2], [0, 2, 3]]))
 
 
 def look(replay: Replay) -> dict[str, Any]:
-    """Return the viewpoint: opposite the robot, slightly from the side where parts are placed."""
+    """Return the viewpoint: opposite the robot, somewhat towards the place of released parts."""
     config, box = replay.cell.config, replay.cell.box
     base, place = np.array(config.robot.base_m[:2]), np.array(config.picking.place_m[:2])
     home = zip(replay.limbs, replay.T_world_limb(replay.robot.home), strict=True)
-    top_m = float(joined(home).bounds_m[1, 2])  # Tall arms need a more distant view.
+    top_m = float(joined(home).bounds_m[1, 2])  # The view is more distant for a tall arm.
     far = max(float(np.linalg.norm(base)), 0.75 * top_m, 0.3)
     aside = -base / max(float(np.linalg.norm(base)), 1e-9)
     aside = aside + 0.6 * place / max(float(np.linalg.norm(place)), 1e-9)
@@ -51,7 +51,7 @@ def placed(T: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 7"]:
 
 
 def packed_places(T: Float[np.ndarray, "t limbs 4 4"]) -> str:
-    """Return poses over time; consecutive quaternions have no jump of sign."""
+    """Return poses over time; the signs of consecutive quaternions are continuous."""
     places = placed(T)
     turn = places[..., 3:]
     flips = np.where((turn[1:] * turn[:-1]).sum(axis=-1) < 0, -1.0, 1.0)

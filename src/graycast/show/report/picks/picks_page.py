@@ -1,4 +1,4 @@
-"""Build the page of a folder of picks: the shared data, and a piece for each bin."""
+"""Build the page of a folder of picks: shared data, and a piece for each bin."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -24,7 +24,7 @@ _WEB = Web(
     home="all bins (Esc)",
     styles=("picks.css",),
     scripts=(
-        *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # The dataset's page has these, too.
+        *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # shared with the dataset's page
         *("outcomes.js", "bins.js", "bodies.js", "replay.js"),
     ),
 )
@@ -81,7 +81,7 @@ def write_pick_report(
 
 
 def _cell(replay: Replay) -> dict[str, Any]:
-    """Return the fixed bodies, all meshes, and the viewpoints of the scanner and the viewer."""
+    """Return the fixed bodies, all meshes, and the viewpoints of the scanner and of the user."""
     scene = replay.cell.cell.scene
     return {
         "view": view_record(scene.rig.camera, scene.T_world_cam),
@@ -97,7 +97,7 @@ def _cell(replay: Replay) -> dict[str, Any]:
 
 
 def _bins(episodes: Sequence[StoredEpisode]) -> list[dict[str, Any]]:
-    """Return the rows of the list; they are short, because thousands are loaded at once."""
+    """Return the rows of the list; they are short, because a page may load thousands of them."""
     names = {one["name"]: i for i, one in enumerate(outcome_words())}
     return [
         {

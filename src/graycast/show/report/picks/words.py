@@ -1,4 +1,4 @@
-"""The texts and colours of the outcomes of attempts."""
+"""Texts and colours of the outcomes of attempts."""
 
 from typing import Any
 

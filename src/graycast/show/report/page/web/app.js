@@ -1,5 +1,5 @@
 "use strict";
-// Routing between pages, keyboard, and the light or dark theme.
+// Routing between pages, keys, and the light or dark theme.
 
 {
   const { el } = Graycast;

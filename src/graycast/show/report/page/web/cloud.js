@@ -1,7 +1,7 @@
 "use strict";
-// The scene in 3D with plain WebGL 2: the perfect surface as a mesh, the scanner's points, and moving
-// bodies.
-// Frame: axes of the world (z up), in millimetres, centred on the middle of the camera's view.
+// The scene in 3D with plain WebGL 2: the perfect surface as a mesh, the scanner's points, and
+// moving bodies. The frame has the axes of the world (z up), in millimetres, about the centre of
+// the camera's view.
 
 {
   const { el } = Graycast;
@@ -9,7 +9,7 @@
   const LIT = ["instance", "plain"]; // With these colours, points are shaded like the surface.
   const FUSED_LIT = ["colour", "plain"],
     FUSED_PX = 2, // Smaller points would let the background show through.
-    FUSED_GROUND = 0.4; // Dark, because most bins and tables are pale.
+    FUSED_GROUND = 0.4; // The ground is dark, because most bins and tables are pale.
   const VERTEX = `#version 300 es
     uniform mat4 uClip;
     uniform mat4 uPlace;
@@ -27,8 +27,8 @@
       gl_Position = uClip * vec4(vPlace, 1.0);
       gl_PointSize = uSize;
     }`;
-  // Lines have no normal, so their shade is NaN, which no other kind has. Bodies (2) have one colour
-  // and flat faces, with the normal from the face's own points.
+  // Lines have no normal, so their shade is NaN, which no other kind has. Bodies (2) have one
+  // colour and flat faces, with normals computed from the points of each face.
   const FRAGMENT = `#version 300 es
     precision highp float;
     uniform vec3 uEye;
@@ -49,9 +49,10 @@
 
   /**
    * Make a 3D view of a scene: {stage, draw(prefs), look(name), swap(scene), onScreen(point), close()}.
-   * `space` is a result of `shapes.space`; null makes the scene's own. `bodies(gl, space)` returns a
-   * function that lists {thing, place (a matrix), tint, open (only its front is drawn), share (of its
-   * colour in a pixel)}, or lines {thing, lines: true}, for each picture. `perfect` shows also the perfect surface and the boxes.
+   * `space` is a result of `shapes.space`; null uses that of the scene. `bodies(gl, space)` returns
+   * a function that lists, for each picture, {thing, place (a matrix), tint, open (only its front
+   * is drawn), share (of its colour in a pixel)} or lines {thing, lines: true}. `perfect` also
+   * shows the perfect surface and the boxes.
    */
   Graycast.makeCloud = (scene, { space = null, bodies = null, perfect = true } = {}) => {
     const canvas = el("canvas", { id: "cloud" }),
@@ -173,7 +174,7 @@
           ? shapes.fusedWords(scene.fusing.cloud, prefs.fusedPaint)
           : { note: "loading the cloud …" };
       },
-      /** Show the points of another scan from the same place, without moving the eye. */
+      /** Show the points of another scan from the same viewpoint, without moving the eye. */
       swap(next) {
         scene = next;
         if (points) shapes.drop(gl, points);
@@ -226,7 +227,7 @@
     return program;
   }
 
-  /** Mix the next body with the picture behind it, and let it lose against a surface in its plane. */
+  /** Blend the next body with the picture behind it; surfaces in its plane take precedence. */
   function mix(gl, share) {
     for (const what of [gl.BLEND, gl.POLYGON_OFFSET_FILL])
       share ? gl.enable(what) : gl.disable(what);

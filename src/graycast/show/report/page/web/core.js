@@ -1,5 +1,5 @@
 "use strict";
-// Functions that the other scripts share: elements, number formats, and scenes loaded as scripts.
+// Functions that the other scripts share: elements, formats of numbers, and the loading of scenes.
 
 /** @type {Shared} */
 const Graycast = /** @type {any} */ ({ report: null, prefs: {} });
@@ -107,7 +107,7 @@ Graycast.heat = (name, share) => {
 /** Return the standard deviation [mm] at which the colours end. */
 Graycast.sigmaLimit = (scene) => (scene.sigmaHigh ??= Graycast.highest(scene.sigma, 0.98) || 1);
 
-/** Return a colour for an instance; neighbouring numbers have very different hues. */
+/** Return a colour for an instance; consecutive numbers have very different hues. */
 Graycast.instanceColor = (index) => {
   const hue = (index * 137.508) % 360;
   const light = 0.58 + 0.09 * ((index % 3) - 1);
@@ -130,7 +130,7 @@ const waiting = new Map(); // key -> function that receives the script's content
 Graycast.receive = (content) => waiting.get(content.key)?.(content);
 
 /**
- * Load the content of a script; a page on the disk can read a file only through a script tag.
+ * Load the content of a script; a page on the disk can read files only through script tags.
  * @param {string} file
  * @param {string} name
  * @returns {Promise<any>}
@@ -192,8 +192,8 @@ async function unpackScene(content) {
 // --- further data of a scene, loaded on demand and released with the scene -----------------------
 
 /**
- * The captured frame `k` as grey levels from 0 to 255, or null while it is loading; `ready` is
- * called when it has arrived. If loading has failed, the error is thrown.
+ * Return the captured frame `k` as grey levels from 0 to 255, or null while it is loading. `ready`
+ * is called when it has arrived. If loading has failed, the error is thrown.
  */
 Graycast.frame = (scene, k, ready) => {
   const held = (scene.frames ??= { levels: new Map(), coming: new Set() });
@@ -274,7 +274,7 @@ async function inflate(text) {
 }
 
 /**
- * Undo packing.pack_words: add up the residuals to the plane through three neighbours.
+ * Undo packing.pack_words: add up the residuals of the prediction from three neighbours.
  * @param {Uint8Array} bytes
  * @param {number} width
  * @param {number} height

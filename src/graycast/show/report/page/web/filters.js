@@ -20,7 +20,7 @@
     ["white.jpg", "white frame"],
     ["reason.png", "reasons"],
   ];
-  const KEPT = ["sort", "down", "thumb"]; // These stay when filters are removed.
+  const KEPT = ["sort", "down", "thumb"]; // These remain when filters are removed.
   const blank = () => ({
     find: "",
     split: "",
@@ -66,7 +66,7 @@
     );
   };
 
-  /** Match a row: by number or range (5-12) of scenes, else by a word in part names and tags. */
+  /** Match a row by number or range (5-12) of scenes, or else by a word in part names and tags. */
   function found(row, word) {
     const [, low, high] = word.match(/^(\d+)(?:-(\d+))?$/) ?? [];
     if (low !== undefined && row.id >= Number(low) && row.id <= Number(high ?? low)) return true;
@@ -258,7 +258,7 @@
     ];
   }
 
-  /** Filter scenes with missed or false detections; a scene opened from there shows just those. */
+  /** Filter scenes with missed or false detections; a scene opened from the grid shows only those. */
   function foundControls(changed, set, select) {
     if (!Graycast.report.detections) return [];
     const pick = select(

@@ -40,7 +40,7 @@
 
   // --- the grid -----------------------------------------------------------------------------------
 
-  /** Show the quality of the detections above the grid; nothing if there are no detections. */
+  /** Show the quality of the detections above the grid, or nothing without detections. */
   found.told = () => {
     const lines = Graycast.report.detections?.told ?? [];
     return lines.length
@@ -74,7 +74,7 @@
     }[filter];
   };
 
-  /** Show only the detections that the filter selected when a scene is opened from it. */
+  /** When a scene is opened from the grid, show only the detections that the filter selected. */
   found.follow = (filter) => {
     prefs.found = true;
     prefs.foundKind = filter in SHOWN ? filter : "all";

@@ -3,8 +3,8 @@
 // Units are those of the files: pixels and millimetres, but metres for the rig.
 
 /**
- * Undistorted directions (x, y, 1) of all pixels of a scene's maps, two numbers each.
- * Throws an error if the lens has no inverse over the picture, as `optics.undistort` does.
+ * Return undistorted directions (x, y, 1) of all pixels of a scene's maps, as two numbers each.
+ * An error is thrown if the lens has no inverse over the picture, as in `optics.undistort`.
  */
 Graycast.rays = (scene) => {
   if (scene.rays) return scene.rays;
@@ -70,8 +70,9 @@ function undistort(target, distortion) {
 }
 
 /**
- * Whether radial distortion grows up to this squared ideal radius, that is, whether the derivative
- * 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 has no root there. The lens model ends where it folds over.
+ * Return whether radial distortion grows up to this squared ideal radius: the derivative
+ * 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 must have no root there. The lens model ends where it folds
+ * over.
  * @param {number} r2
  * @param {number[]} distortion
  */
@@ -84,9 +85,9 @@ function grows(r2, [k1, k2, , , k3]) {
 }
 
 /**
- * Projector position of each pixel's point: {column, row} in projector px, NaN where unknown.
+ * Return the projector position of each pixel's point: {column, row} in px, NaN where unknown.
  * `which` is "depth" (perfect) or "scanner". The rig is exact, so the scanner's depth gives the
- * column it was made from, except for smoothing filters and the rounding of depth.
+ * column from which it was made, except for smoothing filters and the rounding of depth.
  */
 Graycast.projectorMap = (scene, which) => {
   scene.projected ??= {};

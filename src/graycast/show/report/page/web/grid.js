@@ -1,5 +1,6 @@
 "use strict";
-// The grid of scenes: only visible cards exist in the page; they can be focused, ticked and tagged.
+// The grid of scenes: only visible cards exist in the page; cards can be focused, ticked and
+// tagged.
 
 {
   const { el, percent, tags } = Graycast;
@@ -291,7 +292,7 @@
     return true;
   };
 
-  /** Move the focus to the first visible card, or on from the present card. */
+  /** Move the focus to the first visible card, or onwards from the present card. */
   function go(now, step) {
     const { rows, list, columns, height } = open,
       start = list.getBoundingClientRect().top,
@@ -312,7 +313,7 @@
     open.shown.get(at)?.querySelector("a").focus({ preventScroll: true });
   }
 
-  /** Set the card with the focus: that of the scene that was shown last. */
+  /** Set the focus to the card of the scene that was shown last. */
   Graycast.cameFrom = (key) => {
     at = key;
   };

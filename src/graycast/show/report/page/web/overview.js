@@ -1,5 +1,5 @@
 "use strict";
-// The dataset at a glance: facts, plots, and the grid of scenes below them.
+// An overview of the dataset: facts, plots, and the grid of scenes below them.
 
 {
   const { el, count, percent } = Graycast;
@@ -37,7 +37,7 @@
     Graycast.showGrid(document.getElementById("grid"));
   };
 
-  /** Return plots of quantities that vary, and one line of text for constant ones. */
+  /** Return plots of quantities that vary, and one line of text for constant quantities. */
   function figures(statistics) {
     const all = plots(statistics),
       constant = all.map((one) => Graycast.onlyValue(one)).filter(Boolean);
@@ -282,7 +282,7 @@
 
   const sum = (list) => list.reduce((a, b) => a + b, 0);
 
-  /** Return the error, in steps, that this share of the errors does not exceed. */
+  /** Return the error, in steps, that the given share of the errors does not exceed. */
   function within(counts, share) {
     const sizes = Object.entries(counts)
       .map(([k, c]) => [Math.abs(Number(k)), c])

@@ -111,7 +111,7 @@
     return { bar: { map: "viridis_r", low, high, unit: "mm", digits: 0 } };
   }
 
-  /** Return the error limit: the user's choice, else the first to cover two sigma of the dataset. */
+  /** Return the error limit: the user's choice, else the first that covers the dataset's two sigma. */
   Graycast.errorLimit = (prefs) => {
     if (prefs.limit) return prefs.limit;
     const sigma = Graycast.report.statistics.part_error.sigma_mm ?? 0.3;
@@ -137,7 +137,7 @@
     return {};
   }
 
-  /** Return a hint that the dataset does not store some data, with the key to store them. */
+  /** Return a hint that the dataset does not store some data, with the key that stores them. */
   const keeping = (kept, key, what) =>
     kept.length ? "" : ` (${what} are stored if the configuration has store: {${key}: true})`;
   const SAID = { scanner: "from the scanner's depth", depth: "from the perfect depth" };

@@ -29,7 +29,7 @@
   const binWords = (bin, unit) =>
     `${bin.label ?? `${short(bin.from)} to ${short(bin.to)}`} ${unit}`;
 
-  /** Describe a quantity with one bin only, which needs no plot; null for others. */
+  /** Describe a quantity that has only one bin and needs no plot; null for others. */
   Graycast.onlyValue = ({ title, unit, bins, series, rows }) => {
     if (rows) {
       const names = rows.map((row) => row.parts.filter((p) => p.share > 0).map((p) => p.name));
@@ -150,7 +150,7 @@
     return frame(title, note, svg, series.length > 1 && series.length <= 8 ? series : []);
   };
 
-  /** Show shares of a whole as a bar per row: [{name, parts: [{name, color, share}]}]. */
+  /** Show shares of a whole as one bar per row: [{name, parts: [{name, color, share}]}]. */
   Graycast.shares = ({ title, note, rows }) => {
     const bars = rows.map((row) =>
       el("div", { class: "share-row" }, el("span", {}, row.name), stack(row.parts, "share-bar")),

@@ -161,7 +161,7 @@
     }
   }
 
-  /** Make the second view one of this scene's views, and different from the first. */
+  /** Make the second view one of this scene's views that differs from the first. */
   function settleSecond() {
     const others = open.views
       .map((view) => view.id)

@@ -256,8 +256,8 @@
   };
 
   /**
-   * The surface's normals at some pixels, three bytes each, in the world frame, for shading. They are
-   * averaged over enough pixels to hide the steps of depth, but not across an edge.
+   * Return the surface's normals at some pixels, three bytes each, in the world frame, for shading.
+   * They are averaged over enough pixels to hide the steps of depth, but not across an edge.
    */
   shapes.normals = (scene, from) => {
     const { width, n, depth_scale_mm, stride, view } = scene,
@@ -293,7 +293,7 @@
         sum[j] = across[p] * down[q] - across[q] * down[p];
       }
       const length = Math.hypot(...sum);
-      if (!length) [sum[0], sum[1], sum[2]] = [0, 0, 1]; // No neighbours: as if facing the camera.
+      if (!length) [sum[0], sum[1], sum[2]] = [0, 0, 1]; // Without neighbours, it faces the camera.
       for (let j = 0; j < 3; j++)
         out[3 * k + j] = Math.round(
           (127 * (R[j] * sum[0] + R[3 + j] * sum[1] + R[6 + j] * sum[2])) / (length || 1),

@@ -1,5 +1,5 @@
 "use strict";
-// The column next to a scene: values at the pointer, reasons, instances, and how it was made.
+// The column next to a scene: values at the pointer, reasons, instances, and facts of the scene.
 
 {
   const { el, percent, words } = Graycast;
@@ -7,7 +7,7 @@
   const side = /** @type {any} */ ({});
   Graycast.side = side;
 
-  /** Fill the table of values for pixel `i`; -1 is no pixel. */
+  /** Fill the table of values for pixel `i`; -1 means no pixel. */
   side.readout = (scene, i) => {
     const s = scene.depth_scale_mm,
       digits = s < 0.1 ? 2 : 1;
@@ -65,7 +65,7 @@
     }
   }
 
-  /** Return the decoded position, once the column map has been opened, which loads it. */
+  /** Return the decoded position if the column map has been opened, which loads it. */
   function decoded(scene, axis, i) {
     const maps = scene.columns?.maps,
       value = maps?.[axis][i];
@@ -139,7 +139,7 @@
     );
   };
 
-  /** Return the list of instances; actions.light highlights one in the picture. */
+  /** Return the list of instances; actions.light highlights an instance in the picture. */
   side.instances = (scene, { light }) => {
     const rows = scene.instances.map((one, k) =>
       el(

@@ -61,7 +61,7 @@
     keep();
   };
 
-  /** Each tag of these scenes with its number of scenes, sorted by name. */
+  /** Return each tag of these scenes with its number of scenes, sorted by name. */
   tags.among = (keys) => {
     const counts = new Map();
     for (const key of keys)
@@ -88,7 +88,7 @@
     setTimeout(() => URL.revokeObjectURL(url), 10000);
   };
 
-  /** Add a saved file's tags and tick its scenes; returns a message for the user. */
+  /** Add a saved file's tags and tick its scenes; return a message for the user. */
   tags.take = (name, text) => {
     let content = null;
     try {

@@ -1,5 +1,5 @@
 "use strict";
-// The rows above a scene's picture: its views, a view to compare with, and the view's options.
+// The rows above a scene's picture: its views, a view for comparison, and the options of the view.
 
 {
   const { el, words } = Graycast;
@@ -36,7 +36,7 @@
   const bar = /** @type {any} */ ({});
   Graycast.toolbar = bar;
 
-  /** Return a button per view; narrow windows omit the part of its name in brackets. */
+  /** Return a button per view; in narrow windows, its name lacks the part in brackets. */
   bar.views = (views, prefs, pick) =>
     views.map((view) =>
       el(
@@ -55,7 +55,7 @@
       ),
     );
 
-  /** Return a choice of the scene's pictures; empty if there is only one. */
+  /** Return a choice of the scene's pictures; it is empty if there is only one. */
   bar.pictures = (row, go) => {
     const all = Graycast.siblings(row);
     if (all.length < 2) return [];
@@ -77,7 +77,7 @@
     ];
   };
 
-  /** Return the buttons of the comparison: off, or another view, with a swipe or side by side. */
+  /** Return the buttons of the comparison: off, or another view, swiped or side by side. */
   bar.compare = (views, prefs, set) => {
     const flat = views.filter((view) => view.id !== "cloud");
     if (prefs.view === "cloud" || flat.length < 2) return [];
@@ -265,7 +265,7 @@
     return there;
   }
 
-  /** Return the meaning of the colours, in a line for each picture that is shown. */
+  /** Return the meaning of the colours, with a line for each displayed picture. */
   bar.under = (said, names) =>
     said.flatMap(({ bar: scale, note }, k) => {
       if (!scale && !note) return [];

@@ -1,14 +1,14 @@
 "use strict";
-// Pictures that can be zoomed and moved, with masks and boxes over them: one, or two to compare,
-// side by side or on top of each other with a bar to swipe.
+// Pictures that can be zoomed and moved, with masks and boxes over them: one picture, or two
+// pictures side by side or on top of each other with a bar to swipe.
 
 {
   const { el } = Graycast;
   const HOLD_PX = 12; // The bar can be grabbed within this distance.
 
   /**
-   * Make a viewer for one scene, with onPointer(pixel index or -1, event). The second picture may be
-   * of another scene with the same size.
+   * Make a viewer for one scene, with onPointer(pixel index or -1, event). The second picture may
+   * belong to another scene whose pictures have the same size.
    */
   Graycast.makeViewer = (scene, onPointer, other = scene) => {
     const { width, height } = scene;
@@ -132,7 +132,7 @@
       settle,
       zoomAt,
       close: () => watch.disconnect(),
-      /** Show one or two `views`; returns the result of `Graycast.paint` for each. */
+      /** Show one or two `views`; return the result of `Graycast.paint` for each. */
       paint(views, prefs) {
         const next = views.length > 1 ? prefs.how : "single",
           resized = (next === "side") !== (how === "side");

@@ -1,9 +1,9 @@
 "use strict";
-// The bin in the 3D view of a dataset's page: its inside and its rim, translucent, because the
-// camera does not see all walls.
+// The bin in the 3D view of a dataset's page: its inner sides and rim. They are translucent,
+// because the camera does not see all walls.
 
 {
-  const SHARE = 0.6; // The share of the bin's colour in a pixel.
+  const SHARE = 0.6; // share of the bin's colour in a pixel
   let loaded = null; // a promise of the mesh, which all scenes share
 
   async function unpacked({ vertices, growth, faces }) {

@@ -1,5 +1,5 @@
 "use strict";
-// All bins at a glance: the summary, the outcomes, and a card for each bin.
+// An overview of all bins: the summary, the outcomes, and a card for each bin.
 
 {
   const { el, count, percent, outcomes } = Graycast;

@@ -1,5 +1,5 @@
 "use strict";
-// Moving bodies: the arm's limbs, the tool and the carried part; and fixed bodies.
+// Moving bodies (the arm's limbs, the tool and the carried part) and fixed bodies.
 // Poses are (x, y, z) in millimetres and a unit quaternion (x, y, z, w); matrices are column-major.
 
 {
@@ -62,7 +62,7 @@
     return out;
   };
 
-  /** Interpolate poses, quaternions linearly, which is accurate as they are 50 ms apart. */
+  /** Interpolate poses; linear quaternions are accurate, because poses are 50 ms apart. */
   function between(limbs, at, next, share) {
     const out = [];
     for (let k = 0; k < 7; k++) out.push(limbs[at + k] * (1 - share) + limbs[next + k] * share);
@@ -166,7 +166,7 @@
     };
   };
 
-  /** Return the pose of a part; for a lost part, its pose in the next scan with it. */
+  /** Return the pose of a part; a lost part has its pose in the next scan that includes it. */
   Graycast.resting = ({ content, attempt, number, motion, time }, k) => {
     const mine = attempt.present[k],
       until = motion.held_until_s ?? Infinity;

@@ -402,7 +402,7 @@
     document.getElementById("play")?.setAttribute("aria-pressed", String(!!running));
   }
 
-  /** Continue with the next selected attempt if all are to be played. */
+  /** Continue with the next selected attempt if all attempts are to be played. */
   function ended() {
     running = 0;
     const next = neighbour(1);

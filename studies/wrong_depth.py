@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float32
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.metrics import roc_auc_score
 
@@ -46,8 +46,8 @@ EXPOSURES = ((1.0,), (1.0, 4.0), (0.25, 1.0, 4.0))
 FOLDS = 3
 WITHOUT_RIG = 0.1  # Share of the pixels that are given once more without the cues of a rig.
 TREES: Mapping[str, Any] = {
-    "max_iter": 160,
-    "learning_rate": 0.1,
+    "max_iter": 60,
+    "learning_rate": 0.2,
     "max_leaf_nodes": 24,
     "min_samples_leaf": 200,
     "l2_regularization": 1.0,
@@ -198,31 +198,40 @@ def left_out(scenes: Sequence[Pixels]) -> Iterator[tuple[np.ndarray, np.ndarray]
 
 def table_of(
     trees: HistGradientBoostingClassifier, scenes: Sequence[Pixels]
-) -> dict[str, Float[np.ndarray, "..."]]:
+) -> dict[str, np.ndarray]:
     """Return the arrays of `wrong.Evidence`; the first tree is one leaf, with the mean log odds."""
-    nodes = [tree[0].nodes for tree in trees._predictors]
-    start = 1 + np.cumsum([0, *(len(each) for each in nodes[:-1])])
-    shifts = np.repeat(start, [len(each) for each in nodes])
-    every = np.concatenate(nodes)
-    leaf = every["is_leaf"].astype(bool)
+    start, nodes = [0], [(-1, float(np.ravel(trees._baseline_prediction)[0]), False, 0)]
+    for tree in trees._predictors:
+        start.append(len(nodes))
+        nodes += _in_pairs(tree[0].nodes, len(nodes))
+    cue, limit, lacking, after = zip(*nodes, strict=True)
     right = np.concatenate([scene.cues[~scene.wrong] for scene in scenes])
-
-    def after_root(values: np.ndarray, of_root: Any) -> np.ndarray:
-        return np.concatenate([np.array([of_root], dtype=values.dtype), values])
-
     return {
-        "start": np.array([0, *start], dtype=np.int32),
-        "cue": after_root(np.where(leaf, -1, every["feature_idx"]).astype(np.int16), -1),
-        "limit": after_root(every["num_threshold"].astype(np.float32), 0),
-        "lacking": after_root(every["missing_go_to_left"].astype(bool), False),
-        "low": after_root((every["left"] + shifts).astype(np.int32), 0),
-        "high": after_root((every["right"] + shifts).astype(np.int32), 0),
-        "log_odds": after_root(
-            np.where(leaf, every["value"], 0).astype(np.float32),
-            float(np.ravel(trees._baseline_prediction)[0]),
-        ),
+        "start": np.array(start, dtype=np.int32),
+        "cue": np.array(cue, dtype=np.int16),
+        "limit": np.array(limit, dtype=np.float32),
+        "lacking": np.array(lacking, dtype=bool),
+        "next": np.array(after, dtype=np.int32),
         "typical": np.nanmedian(right, axis=0).astype(np.float32),
     }
+
+
+def _in_pairs(tree: np.ndarray, first: int) -> list[tuple[int, float, bool, int]]:
+    """Return a tree's nodes in an order in which the two children of a node are neighbours.
+
+    Args:
+        first: the number of the tree's first node.
+    """
+    order, nodes = [0], []
+    for k in order:  # `order` grows in this loop.
+        node = tree[k]
+        if node["is_leaf"]:
+            nodes.append((-1, float(node["value"]), False, 0))
+            continue
+        cue, limit = int(node["feature_idx"]), float(node["num_threshold"])
+        nodes.append((cue, limit, bool(node["missing_go_to_left"]), first + len(order)))
+        order += [int(node["left"]), int(node["right"])]
+    return nodes
 
 
 def main() -> None:

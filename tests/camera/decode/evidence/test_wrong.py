@@ -21,11 +21,9 @@ def small_table():
     return Evidence(
         start=np.array([0, 3], np.int32),
         cue=np.array([FIRST, leaf, leaf, SECOND, FIRST, leaf, leaf, leaf], np.int16),
-        limit=np.array([1.5, 0, 0, 0, 5, 0, 0, 0], np.float32),
+        limit=np.array([1.5, -2, 1, 0, 5, 4, -1, 3], np.float32),
         lacking=np.array([True, 0, 0, False, False, 0, 0, 0], bool),
-        low=np.array([1, 0, 0, 4, 5, 0, 0, 0], np.int32),
-        high=np.array([2, 0, 0, 7, 6, 0, 0, 0], np.int32),
-        log_odds=np.array([0, -2, 1, 0, 0, -1, 3, 4], np.float32),
+        next=np.array([1, 0, 0, 4, 6, 0, 0, 0], np.int32),
         typical=np.zeros(len(CUES), np.float32),
     )
 

@@ -31,18 +31,17 @@ TABLE = "wrong.npz"
 class Evidence(NamedTuple):
     """Decision trees, one node after the other.
 
-    A node sends a pixel to `low` if its cue is at most `limit` (or NaN and `lacking`), else to
-    `high`. A leaf has the cue -1. `start` has the first node of each tree, `typical` the median of
-    each cue where depth is right.
+    A pixel goes from a node to the node `next` if its cue is at most `limit`, or if the cue is NaN
+    and `lacking` is true; else to the node after `next`. A leaf has the cue -1, and its `limit` is
+    the logarithm of odds that it adds. `start` has the first node of each tree, `typical` the
+    median of each cue where depth is right.
     """
 
     start: Int32[np.ndarray, " trees"]
     cue: Int16[np.ndarray, " nodes"]
     limit: Float32[np.ndarray, " nodes"]
     lacking: Bool[np.ndarray, " nodes"]
-    low: Int32[np.ndarray, " nodes"]
-    high: Int32[np.ndarray, " nodes"]
-    log_odds: Float32[np.ndarray, " nodes"]
+    next: Int32[np.ndarray, " nodes"]
     typical: Float32[np.ndarray, " cues"]
 
 
@@ -128,6 +127,7 @@ def spoken_against(
 
 @kernel(parallel=True, error_model="numpy")
 def _weigh(cues, known, table, p_wrong):
+    cue, limit, lacking, after = table.cue, table.limit, table.lacking, table.next
     h, w = p_wrong.shape
     for y in numba.prange(h):
         own = np.empty(len(cues), np.float32)
@@ -139,9 +139,9 @@ def _weigh(cues, known, table, p_wrong):
             log_odds = np.float32(0)
             for first in table.start:
                 node = first
-                while table.cue[node] >= 0:
-                    value = own[table.cue[node]]
-                    low = table.lacking[node] if np.isnan(value) else value <= table.limit[node]
-                    node = table.low[node] if low else table.high[node]
-                log_odds += table.log_odds[node]
+                while cue[node] >= 0:
+                    value = own[cue[node]]
+                    missing = np.isnan(value) and not lacking[node]
+                    node = after[node] + np.int32(missing or value > limit[node])
+                log_odds += limit[node]
             p_wrong[y, x] = np.float32(1) / (np.float32(1) + np.exp(-log_odds))

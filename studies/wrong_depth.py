@@ -45,6 +45,7 @@ PIXELS = 4000  # pixels of each stack that are stored
 EXPOSURES = ((1.0,), (1.0, 4.0), (0.25, 1.0, 4.0))
 FOLDS = 3
 WITHOUT_RIG = 0.1  # Share of the pixels that are given once more without the cues of a rig.
+MIRRORED, MIRRORED_PX = 0.01, (4.0, 400.0)  # Share of mirror images, and distances off the line.
 TREES: Mapping[str, Any] = {
     "max_iter": 60,
     "learning_rate": 0.2,
@@ -183,9 +184,36 @@ def fitted(scenes: Sequence[Pixels]) -> HistGradientBoostingClassifier:
     again = rng.random(len(cues)) < WITHOUT_RIG
     without = cues[again]
     without[:, OF_RIG] = np.nan
-    cues, wrong = np.concatenate([cues, without]), np.concatenate([wrong, wrong[again]])
+    mirrored = mirror_images(cues[~wrong], rng)
+    cues = np.concatenate([cues, without, mirrored])
+    wrong = np.concatenate([wrong, wrong[again], np.ones(len(mirrored), dtype=bool)])
     trees = HistGradientBoostingClassifier(monotonic_cst=[cue.sense for cue in CUES], **TREES)
     return trees.fit(cues, wrong)
+
+
+def mirror_images(
+    cues: Float32[np.ndarray, "n cues"], rng: np.random.Generator
+) -> Float32[np.ndarray, "m cues"]:
+    """Return some right pixels as if they saw their light in a perfect mirror.
+
+    Then the epipolar line is the only evidence. In random heaps this is so rare that the table
+    would trust a complete image far off its line.
+    """
+    off, over_sigma, around, sigma = (
+        NAMES.index(name)
+        for name in (
+            "off the epipolar line",
+            "off the epipolar line over sigma",
+            "off the epipolar line, around",
+            "sigma along",
+        )
+    )
+    coded = np.flatnonzero(np.isfinite(cues[:, off]))
+    mirrored = cues[coded[rng.random(len(coded)) < MIRRORED]]
+    log2_px = rng.uniform(*np.log2(MIRRORED_PX), len(mirrored))
+    mirrored[:, off] = mirrored[:, around] = log2_px
+    mirrored[:, over_sigma] = log2_px - mirrored[:, sigma]
+    return mirrored
 
 
 def left_out(scenes: Sequence[Pixels]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -12,7 +12,7 @@ from backends import slow
 from scipy import ndimage
 
 from graycast.base.frames import pixel_grid, transform_points
-from graycast.camera.decode import Reason
+from graycast.camera.decode import FilterSpec, Reason
 from graycast.camera.scanner import preset, scan
 from graycast.cell.resolve import patterns_of
 from graycast.rendering import Radiance
@@ -118,3 +118,49 @@ def test_presets_refuse_wrong_pixels_in_mixed_light_unlike_the_plain_decoder(sca
     )
     believed = scan(plain, light(plain, place, place + away, share, spread_px=5.0), seed=1).depth
     assert wrong(believed, z_m).sum() > 0.3 * np.isfinite(believed.depth_m).sum()
+
+
+def without_guards(scanner, max_p_wrong):
+    decode = replace(
+        scanner.decode,
+        doubt=0.0,
+        min_sigmas=0.0,
+        min_visibility=0.0,
+        max_epipolar_px=0.0,
+        max_p_wrong=max_p_wrong,
+    )
+    return replace(scanner, decode=decode, filters=FilterSpec())
+
+
+def test_the_probability_alone_tells_direct_from_mixed_light(scanner):
+    """The patches of mixed light are as in the test of the guards, and it keeps more depth."""
+    rng = np.random.default_rng(2)
+    z_m, place = facing_plane(scanner)
+    away = np.stack([patches(-200, 200, rng), patches(-200, 200, rng)], axis=-1)
+    share = patches(0, 1, rng)
+    mixed = light(scanner, place, place + away, share, spread_px=5.0)
+    unguarded = scan(without_guards(scanner, 1.0), mixed, seed=1).depth
+    estimated = scan(without_guards(scanner, 0.05), mixed, seed=1).depth
+    guarded = scan(scanner, mixed, seed=1).depth
+    assert unguarded.p_wrong is None
+    assert wrong(unguarded, z_m).sum() > 0.2 * np.isfinite(unguarded.depth_m).sum()
+    assert wrong(estimated, z_m).sum() <= 0.005 * np.isfinite(estimated.depth_m).sum()
+    right, right_with_guards = (
+        (np.isfinite(depth.depth_m) & ~wrong(depth, z_m)).sum() for depth in (estimated, guarded)
+    )
+    assert right > 1.1 * right_with_guards
+    reasons = estimated.reason[np.isnan(estimated.depth_m)]
+    assert (reasons == Reason.INTERREFLECTION).any()
+
+
+def test_the_probability_alone_keeps_direct_light_and_no_mirror_image(scanner):
+    _, place = facing_plane(scanner)
+    careful = without_guards(scanner, 0.02)
+    direct = scan(careful, light(scanner, place, place, 0.0), seed=1).depth
+    assert np.isfinite(direct.depth_m).mean() > 0.99
+    assert np.array_equal(np.isfinite(direct.p_wrong), np.isfinite(direct.depth_m))
+    assert np.nanmax(direct.p_wrong) <= 0.02
+    mirrored = light(scanner, place, place + np.array([60.0, 40.0]), 1.0)
+    image = scan(careful, mirrored, seed=1).depth
+    assert np.isfinite(image.depth_m).mean() < 0.01
+    assert (image.reason == Reason.OUTLIER).mean() > 0.5

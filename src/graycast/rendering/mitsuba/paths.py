@@ -218,8 +218,10 @@ class Tracer:
         return p
 
     def _ask(self, bsdf, si, to_lens, to_lamp, pick, uv):
-        """Return albedo; value to the projector; value and density to the lamp; a direction to go
-        on; and the densities of a path from the projector for both ways.
+        """Evaluate a vertex's material and sample a direction.
+
+        Return albedo; value to the projector; value and density to the lamp; the direction and its
+        weight; and the densities of a path from the projector for both ways.
         """
         none, no_pdf = mi.Color3f(0), mi.Float(0)
         if bsdf is None:  # The world has no surface.

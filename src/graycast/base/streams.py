@@ -19,7 +19,7 @@ EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed ha
 
 
 class CaptureStream(IntEnum):
-    """Streams of the seed with which pictures are taken; the noise of a shot uses no stream.
+    """Streams of the seed with which pictures are taken; the noise of a shot uses the seed itself.
 
     `FIXED_PATTERN` is a stream of the sensor's seed, which may be the same number.
     """

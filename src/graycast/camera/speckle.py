@@ -140,8 +140,8 @@ def draw_speckle(
     """Draw speckle for pixels with these contrasts and an active square of a `side` [px].
 
     Brightness has a gamma distribution of mean 1 (integrated speckle, Goodman), computed as the
-    cube of a normal number (E. B. Wilson, M. M. Hilferty, 1931). The first moment of light is
-    independent and normal. The centre is moment over brightness, so it moves farthest in dark pixels.
+    cube of a normal number (E. B. Wilson, M. M. Hilferty, 1931). The first moment is
+    independent and normal. The centre is moment over brightness, so in dark pixels it moves most.
     """
     rng = stream(seed, CaptureStream.SPECKLE)
     fields = _correlated(rng.standard_normal((3, *contrast.shape), dtype=np.float32), sensor, side)

@@ -91,9 +91,8 @@ def test_a_slab_slides_only_above_the_friction_angle(monkeypatch, angle_deg, hol
 
 
 def test_a_part_that_needs_more_than_nine_tenths_of_its_friction_is_not_at_rest(monkeypatch):
-    """At 13.8 degrees: the engine's 6/7 of 0.3 hold up to 14.4, nine tenths of that up to 13.0.
-
-    Released, the slab creeps on, as it would in a heap that a hand has touched.
+    """At 13.8 degrees, the engine's 6/7 of 0.3 holds the slab (up to 14.4), but nine tenths of that
+    does not (up to 13.0), so the slab creeps on.
     """
     upright, angle = rapier._world, np.deg2rad(13.8)
 

@@ -206,8 +206,8 @@ def z_of(a, b):
 def test_camera_and_projector_paths_together_agree_with_brute_force(
     mitsuba_renderer, from_the_camera_alone, case
 ):
-    """The oracle is brute force: 32,768 camera paths per pixel. A weight, Jacobian or pupil wrong
-    by 0.5 % would be five standard errors of the whole picture.
+    """The oracle is brute force: 32,768 camera paths per pixel. A 0.5 % wrong weight, Jacobian or
+    pupil would be five standard errors of the whole picture.
     """
     scene = room(*CASES[case])
     both = pictures(mitsuba_renderer, scene, samples=512, seeds=range(8))
@@ -221,8 +221,8 @@ def test_camera_and_projector_paths_together_agree_with_brute_force(
 
 @pytest.mark.slow
 def test_camera_paths_and_projector_paths_give_equal_energy(mitsuba_renderer, monkeypatch):
-    """All light of shiny surfaces from the projector's side, and all of it from the camera's; on
-    the rough metal, both have little noise.
+    """All light of shiny surfaces is sampled from the projector only, and then from the camera
+    only; on the rough metal, both have little noise.
     """
     scene = room(CAMERA, PROJECTOR, metal(0.5, 0.9))
     shares = {"projector": (0.0, 1.0), "camera": (1.0, 0.0)}
@@ -335,7 +335,7 @@ def test_the_stated_path_noise_includes_caustics(mitsuba_renderer):
 
 @pytest.mark.slow
 def test_cycles_renders_the_same_caustic_as_mitsuba(mitsuba_renderer, cycles_renderer):
-    """Another program, with camera paths only: the wall in four strips, to 3 %."""
+    """Oracle: another program, with camera paths only, on four strips of the wall, to 3 %."""
 
     def strips(renderer, samples):
         mirror = strip(metal(0.3))

@@ -188,7 +188,7 @@ def test_a_glass_slab_in_the_projector_s_beam_displaces_and_dims_its_light(mitsu
 
 @pytest.mark.parametrize("color", [1.0, 0.5])
 def test_a_glass_ball_loses_only_the_light_that_its_colour_absorbs(mitsuba_renderer, color):
-    """All chords of a ray are equal: `R + (1 - R)^2 a / (1 - R a)`, which is 1 if a is."""
+    """All chords of a ray are equal: `R + (1 - R)^2 a / (1 - R a)`, which is 1 if a is 1."""
     ball = Sphere(center_m=(0.0, 0.0, 0.5), radius_m=0.1, material=glass("solid", (color,) * 3))
     scene = in_camera(NARROW, ball, environment=Environment(radiance=(1 / 3,) * 3))
     light = radiance(mitsuba_renderer, scene, depth=4, samples=512).ambient
@@ -330,7 +330,7 @@ def test_light_that_passes_metal_and_glass_is_counted_only_once(mitsuba_renderer
 
 
 def test_only_mitsuba_renders_glass():
-    """The error of the reference renderer names it as the remedy."""
+    """The error of the reference renderer names Mitsuba as the remedy."""
     scene = in_camera(NARROW, wall(1.0, replace(glass("thin"), specular=0.0)))
     with open_renderer("reference") as renderer, pytest.raises(ValueError, match="use mitsuba"):
         quality = Quality(samples=1, depth=1)

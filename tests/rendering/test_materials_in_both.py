@@ -103,7 +103,7 @@ def test_each_renderer_applies_material_keys_and_lambert_s_law(cpu_device, in_cy
 
 
 def test_mitsuba_and_cycles_reflect_equally_from_metal(cpu_device, in_cycles):
-    """To 0.3 % in any direction: both are one published model with their own tables."""
+    """The tolerance is 0.3 %: both implement one published model with their own tables."""
     lamps = [(0, 0), (40, 0), (40, 180), (60, 90), (80, 180)]
     cases = [
         (with_words(metallic=1.0, roughness=r), view, lamp)

@@ -34,8 +34,7 @@ def depth_map(z_m, sigma_m=1e-7):
 
 @pytest.mark.parametrize(("tilt_deg", "azimuth_deg"), [(20, 0), (45, 90), (60, 30)])
 def test_the_raster_error_is_proportional_to_the_slope_and_the_pixel_width(tilt_deg, azimuth_deg):
-    """At the axis a pixel is z / f wide, a plane rises by tan(tilt) times that, and sigma agrees.
-    """
+    """A pixel is z / f wide at the axis, a plane rises by tan(tilt) times that; sigma agrees."""
     z_m = tilted(tilt_deg, azimuth_deg)
     placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), seed=0)
     error_m = placed.depth_m - z_m

@@ -1,4 +1,4 @@
-"""Faults of a device: depth of points next to the centres of pixels."""
+"""Faults of a device: depth is measured at points next to the centres of pixels."""
 
 import math
 from dataclasses import fields

@@ -44,7 +44,7 @@ def metal(along, across, reflectance=GOLD):
 def one_reflection(wi, wo, along, across):
     """Return D G2 / (4 cos cos) of white facets, by Heitz' D over slopes and his Lambda.
 
-    x lies along the grain.
+    x is along the grain.
     """
     half = (wi + wo) / np.linalg.norm(wi + wo, axis=0)
     slope2 = (half[0] / half[2] / along) ** 2 + (half[1] / half[2] / across) ** 2

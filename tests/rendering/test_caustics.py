@@ -90,7 +90,7 @@ def lit_walls(renderer, *surfaces, pattern, seeds, samples=64):
 @pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.01, slow(0.05)])
 def test_a_mirror_lights_a_wall_like_a_mirror_image_of_the_projector(mitsuba_renderer, roughness):
-    """Irradiance, edges and columns in closed form; facets blur the edges by one or two pixels."""
+    """Oracle: irradiance, edges and columns in closed form; facets blur edges by 1 or 2 pixels."""
     mirror = strip(metal(roughness))
     runs = lit_walls(mitsuba_renderer, mirror, pattern=ramp(RIG), seeds=range(6))
     straight, mirrored, level = expected_on_the_wall(RIG, 96, 72)
@@ -295,7 +295,7 @@ def test_swapping_camera_and_projector_does_not_change_transported_light(mitsuba
 
 @pytest.mark.slow
 def test_one_seed_gives_one_picture_of_a_caustic(mitsuba_renderer):
-    """Threads add to one pixel in any order."""
+    """Threads may add to a pixel in any order, which must not change the sum."""
     scene = room(CAMERA, PROJECTOR, metal(0.1))
     a, b = (pictures(mitsuba_renderer, scene, samples=64, seeds=[3]) for _ in range(2))
     assert np.array_equal(a, b)

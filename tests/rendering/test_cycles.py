@@ -261,7 +261,7 @@ def test_frames_of_one_scene_rendered_by_cycles_have_independent_noise(cycles_re
 
 @pytest.mark.parametrize("size", [(48, 36), (36, 48)])
 def test_blender_s_own_camera_agrees_with_the_exact_renderer(cycles_renderer, size):
-    """Square pixels and an off-centre axis, in a wide and in a tall picture. The mean of 64 well
+    """Square pixels and an off-centre axis, in a wide and in a tall picture. The mean of 64 evenly
     spread samples is within a twentieth of a pixel of the pixel's centre.
     """
     width, height = size

@@ -121,7 +121,7 @@ def orders(cosine, thickness_m, color):
 
 @pytest.mark.slow
 def test_a_glass_slab_in_front_of_the_camera_displaces_and_dims_the_scene(mitsuba_renderer):
-    """Snell's parallel shift, Fresnel's losses and Beer's law, in each pixel's column and level."""
+    """Oracle: Snell's parallel shift, Fresnel's losses and Beer's law, in column and level."""
     thickness_m, color = 0.06, 0.7
     rig = make_rig(centred(24, 18, 60), centred(240, 120, 140), baseline_m=(0.35, 0.0, 0.0))
     half_m = np.array([0.12, 0.12, thickness_m / 2])
@@ -284,8 +284,8 @@ def test_a_ball_lens_focuses_the_projector_s_light_onto_a_wall(mitsuba_renderer)
 
 @pytest.mark.slow
 def test_light_that_passes_metal_and_glass_is_counted_only_once(mitsuba_renderer, monkeypatch):
-    """Camera paths alone give the light of both kinds of paths, if none starts at glass. Metal
-    lights the wall by a glass ball and a pane; its own reflections are seen through them.
+    """Oracle: camera paths alone, which give all light if no path starts at glass. Metal lights the
+    wall through a glass ball and a pane; its own reflections are visible through them.
     """
     rig = make_rig(centred(24, 16, 28), centred(96, 72, 70), baseline_m=(0.1, 0.02, 0.01))
     metal = Material(base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.4)

@@ -115,7 +115,7 @@ def test_mitsuba_and_cycles_reflect_equally_from_metal(cpu_device, in_cycles):
 
 
 def test_grooves_have_the_same_shape_in_both_renderers(cpu_device, in_cycles):
-    """Along x, seen and lit from all sides. Cycles' table of compensation ignores grooves: its
+    """Grooves along x are seen and lit from all sides. Cycles' compensation ignores grooves: its
     metal is darker by one factor for all lamps, in the brightest band by 0.2 % at roughness 0.2, 2
     % at 0.35 and 8 % at 0.5.
     """

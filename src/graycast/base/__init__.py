@@ -2,7 +2,7 @@
 
 Each module imports only from the modules above it:
 
-    version          the version of Graycast, which the files that it writes state
+    version          the version of Graycast, which its output files state
     errors           the errors that a caller may want to handle
     array_types      annotations of arrays with their axes
     progress         messages of a long task to the caller that waits for it

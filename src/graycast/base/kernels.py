@@ -35,7 +35,7 @@ from numba.core.dispatcher import Dispatcher
 from .folder import cache_folder, why_unwritable
 
 MOST_VERSIONS = (
-    16  # Clones and branches of the repository have different folders for the kernels of a file.
+    16  # Each clone or branch needs a folder for the kernels of a file; older folders are removed.
 )
 
 _ROOT = Path(__file__).parents[1]

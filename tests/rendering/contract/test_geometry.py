@@ -174,7 +174,7 @@ def test_camera_rays_are_distorted_as_opencv_distorts_them(renderer):
 
 
 def projector_pixel(code, light, axis):
-    """Return the projector pixel: each bit by majority of light, looked up in the patterns."""
+    """Return each pixel's projector pixel, from bits that the majority of its light decides."""
     use = [k for k, frame in enumerate(code.frames) if frame.axis == axis]
     pictures = code.render()[use] > 127
     words = pictures[:, 0, :] if axis == "column" else pictures[:, :, 0]

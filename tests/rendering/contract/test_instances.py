@@ -29,7 +29,7 @@ ONE = Quality(samples=1, depth=1)
 HALVES = (np.array([0.05, 0.03, 0.02]), np.array([0.02, 0.06, 0.03]))
 KINDS = tuple(
     box_part(half, lambert(0.5), name=f"box{i}") for i, half in enumerate(HALVES)
-)  # two kinds of one material must not become one shape
+)  # two kinds with one material, which must not become one shape
 
 
 def truth_of(renderer, scene, layout):

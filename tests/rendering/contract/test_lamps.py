@@ -181,7 +181,7 @@ def test_a_camera_that_looks_up_sees_a_bright_spot_at_the_zenith(path_tracer, tm
         assert (image[8, 8] > 4.9).all() == bright
 
 
-FROM_NORTH_DEG, HEIGHT_DEG = 115.3125, 29.53125  # share of the spot of `spot_map`
+FROM_NORTH_DEG, HEIGHT_DEG = 115.3125, 29.53125  # direction of the spot of `spot_map`
 
 
 def spot_map(path):

@@ -221,7 +221,7 @@ def test_only_moving_parts_are_damped_and_rest_is_judged_without_damping():
     heap = Scripted(sinking)
     box_m = np.stack([body_of_box((0.04,) * 3).box_m] * 2)
     end, last_m, seconds, rests = rest._rest(heap, box_m, 5.0)
-    assert last_m == 0  # This is from the 0.2 s that showed rest, not from the fall.
+    assert last_m == 0  # This is the motion in the 0.2 s that showed rest, not in the fall.
     assert rests and seconds == pytest.approx(19 * rest.LOOK_S)
     assert end[:, 2, 3] == pytest.approx([0.09, 0.1])
     factors = np.array(heap.parts["factors"])

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 Alpha: TypeAlias = mi.Float | mi.Vector2f
-TABLE = 128  # The number of nodes in a table over the cosine, which is linear between them.
+TABLE = 128  # Number of nodes in a table over the cosine; values between them are interpolated.
 # If roughness varies, tables have a row for each of these alphas, with equal steps of the cube
 # root: energy changes fastest for rough metals and for smooth coats.
 ALPHAS = np.linspace(1e-4 ** (1 / 3), 1, 24) ** 3

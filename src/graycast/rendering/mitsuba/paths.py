@@ -52,7 +52,7 @@ class Paths:
     offset: list[mi.Point2f]  # Start of each sample sequence of the pixel
     sample: mi.UInt32
     vertex: mi.UInt32  # Number of the vertex in the path
-    alive: mi.Bool  # The path has a next vertex.
+    alive: mi.Bool  # Whether the path has a next vertex
     throughput: mi.Color3f
     origin: mi.Point3f
     direction: mi.Vector3f

@@ -1,4 +1,4 @@
-"""Simulation of a tool that lifts a part out of the heap and holds or loses it.
+"""Simulate a tool that lifts a part out of the heap and holds or loses it.
 
 The tool follows a given path, which forces on the tool do not change. The part hangs on the tool by
 springs and dampers, like a suction cup on its bellows. Their force is known at every step, and the

@@ -2,7 +2,7 @@
 
 Parts start in random cells of a voxel grid above the bin, in random orientations. Source: Bai et
 al., "Close the Sim2real Gap via Physically-based Structured Light Synthetic Data Simulation", 2024
-(the grid; its cell size and fill are not given there).
+(the grid; the paper does not state its cell size and fill).
 """
 
 from collections.abc import Iterable, Sequence

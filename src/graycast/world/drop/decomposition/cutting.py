@@ -130,7 +130,7 @@ def _parts(piece: Manifold, thin_m: float) -> list[Manifold]:
 
 
 def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
-    """Cut along the flat face that leaves least volume to fill; return [] if the gain is small."""
+    """Cut along the flat face that leaves the least to fill; return [] if the gain is small."""
     filling = _filling(piece)
     parts, left = _best_cut(piece, _faces_at_bends(piece), filling, even=0.0, thin_m=thin_m)
     return parts if left < (1 - WORTH) * filling else []

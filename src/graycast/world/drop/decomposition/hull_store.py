@@ -21,7 +21,7 @@ from .mesh_hulls import decompose
 FEW_FACES = 20_000  # Up to this many faces, a single hull is tried without a child process.
 
 CACHE_VERSION = 3  # Raise this number when a change in this folder changes the hulls.
-# These are all constants that determine the hulls.
+# The cache key has all constants that determine the hulls.
 _SETTINGS = tuple(
     (name, value)
     for module in (error, mesh_hulls, solid, cutting)

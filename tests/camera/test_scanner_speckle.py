@@ -153,7 +153,8 @@ def test_ambient_light_causes_no_speckle(scanner, light):
 
 def test_raster_noise_decreases_with_reflectance_like_speckle(scanner, light):
     """Both come from uneven light, so reflectance R has `1 / sqrt(1 + volume 2R / (1 - R^2))` times
-    the noise of a black surface. The wall leans away from the projector, so it seems darker by the cosine.
+    the noise of a black surface. The wall leans away from the projector, so it seems
+    darker by the cosine.
     """
     normal = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0])
     from_projector = np.array([0.0, 0.0, WALL_M]) - scanner.rig.T_cam_proj[:3, 3]

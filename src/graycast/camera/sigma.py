@@ -224,7 +224,7 @@ def line_noise_px(code: Code, axis: Axis, share: float) -> float:
 
     With N steps of a period p, line errors e_k change the phase by
     `-2/N sum e_k (1 + cos t_k) sin t_k` with evenly spaced t_k, so the standard deviation is
-    `(p / 2 pi) share sqrt(5 / (2 N))`. Periods are averaged by inverse variance. No phases: 0.
+    `(p / 2 pi) share sqrt(5 / (2 N))`. Periods are averaged by inverse variance. Without phases: 0.
 
     Leaves out: combs of lines, which also have a small error.
     """

@@ -17,7 +17,7 @@ from ..decode.plan import plan_axes
 # first are used; a cell without such pixels uses pixels below the second.
 MAX_WRONG, MAX_WRONG_ALONE = 0.02, 0.2
 # The n pixels of a cell scatter about their mean by sqrt(n / 2 pi) if they fill a disc, or more if
-# they fill an ellipse on a slanted surface. Beyond factor plus offset, there are several surfaces.
+# they fill an ellipse on a slanted surface. A larger scatter means that there are several surfaces.
 MAX_SCATTER, SCATTER_PX = 2.0, 0.5
 
 

@@ -20,7 +20,7 @@ Unit = Literal["m", "cm", "mm", "inch"]
 
 
 class ContinuousSymmetry(Settings):
-    """Symmetry under any rotation about an axis."""
+    """Symmetry under any turn about an axis."""
 
     axis: Direction = Field(description="The axis: x, y or z of the mesh, or a direction.")
     point_m: Vector = Field(

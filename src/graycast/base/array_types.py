@@ -67,5 +67,5 @@ UInt8Array_h_w_3 = UInt8[np.ndarray, "h w 3"]
 UInt8Array_n_3 = UInt8[np.ndarray, "n 3"]
 UInt8Array_n_ph_pw = UInt8[np.ndarray, "n ph pw"]
 UInt8Array_rows_columns = UInt8[np.ndarray, "rows columns"]
-# One name for both: a type checker shortens the union of two arrays to one of them.
+# This union has a name, because type checkers shorten a union of two array types to one of them.
 UInt8or16Array_n_h_w = UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]

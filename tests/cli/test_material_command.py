@@ -10,6 +10,8 @@ import yaml
 
 import graycast as gc
 from graycast.cli import main
+from graycast.real import material
+from graycast.real.material import fit_material
 
 MATT = {"base_color": (0.5, 0.5, 0.5), "specular": 0.0, "roughness": 1.0}
 
@@ -48,10 +50,10 @@ def test_the_material_of_steel_brackets_is_recovered_from_a_scan(scene, tmp_path
     out = tmp_path / "material.yaml"
     white = ("--reference", scene / "white.png", "--reflectance", 0.5)
     assert not run(scene / "frames", "--mask", *masks(scene), *white, "--out", out)
-    material = yaml.safe_load(out.read_text())
-    assert material["metallic"] == 1.0
-    assert material["roughness"] == pytest.approx(0.4, abs=0.05)
-    assert material["base_color"] == pytest.approx([0.4] * 3, rel=0.1)
+    steel = yaml.safe_load(out.read_text())
+    assert steel["metallic"] == 1.0
+    assert steel["roughness"] == pytest.approx(0.4, abs=0.05)
+    assert steel["base_color"] == pytest.approx([0.4] * 3, rel=0.1)
     assert out.with_suffix(".png").stat().st_size > 10_000
     assert "kind           metal" in capsys.readouterr().out
     cell = tmp_path / "cell"
@@ -59,7 +61,7 @@ def test_the_material_of_steel_brackets_is_recovered_from_a_scan(scene, tmp_path
         ["new", str(cell), "--builtin", "metal_workpiece_1", "--surface-from", str(out)]
     )
     (part,) = gc.load_cell(cell / "cell.yaml").scene.parts
-    assert part.material.roughness == material["roughness"]
+    assert part.material.roughness == steel["roughness"]
     assert run(scene / "frames", "--out", out) == 1
     assert "exists already" in capsys.readouterr().err
 
@@ -86,6 +88,22 @@ def test_parts_and_bin_are_told_apart_without_masks(scene, tmp_path, capsys):
     right = (orange & parts).sum() + (blue & ~parts).sum()
     assert right / (orange | blue).sum() > 0.98
     assert (orange & parts).sum() > 0.95 * ((orange | blue) & parts).sum() > 500
+
+
+@pytest.mark.slow
+def test_a_run_that_is_stopped_between_two_classes_leaves_no_file(scene, tmp_path, monkeypatch):
+    """The files of the first class would make the next run refuse its output."""
+    fits = []
+
+    def stopped(observations, **options):
+        fits.append(fit_material(observations, **options))
+        if len(fits) == 2:
+            raise KeyboardInterrupt
+        return fits[0]
+
+    monkeypatch.setattr(material, "fit_material", stopped)
+    assert run(scene / "frames", "--out", tmp_path / "m.yaml") == 130
+    assert len(fits) == 2 and not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -37,14 +37,7 @@ from graycast.camera.scanner import Scanner, take
 from graycast.camera.stack import read_description
 from graycast.camera.stack.stack_pictures import read_pictures
 from graycast.cell.resolve import patterns_of
-from graycast.real.material import (
-    MaterialFit,
-    MaterialScan,
-    fit_material,
-    open_scan,
-    read_masks,
-    scale_of,
-)
+from graycast.real.material import MaterialFit, MaterialScan, fit_material, open_scan, read_masks
 from graycast.real.material.normals import smooth_normals
 from graycast.real.rescan.source import SourceImage
 from graycast.real.rescan.staging import stage
@@ -156,7 +149,7 @@ def fitted(
     """Fit a material to each region; the intensity of the light is one number for the scan."""
     scale = None
     if reflectance is not None:
-        scale = scale_of(scan.observations(regions[REST]), reflectance)
+        scale = scan.scale(regions[REST], reflectance)
     fits: dict[str, MaterialFit] = {}
     for name, mask in regions.items():
         show(f"the material {name} is fitted")

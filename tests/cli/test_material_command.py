@@ -67,6 +67,23 @@ def test_the_material_of_steel_brackets_is_recovered_from_a_scan(scene, tmp_path
 
 
 @pytest.mark.slow
+def test_python_and_the_command_fit_the_same_material(scene, tmp_path):
+    """The command rounds its numbers to three places."""
+    white = cv2.imread(str(scene / "white.png"), 0) > 0
+    parts = np.logical_or.reduce([cv2.imread(str(mask), 0) > 0 for mask in masks(scene)])
+    words = ("--mask", *masks(scene), "--reference", scene / "white.png", "--reflectance", 0.5)
+    assert not run(scene / "frames", *words, "--out", tmp_path / "m.yaml")
+    written = yaml.safe_load((tmp_path / "m.yaml").read_text())
+    scan = gc.open_scan(str(scene / "frames"))
+    fit = gc.fit_material(scan.observations(parts), scale=scan.scale(white, 0.5), seed=0)
+    assert round(fit.roughness.value, 3) == written["roughness"]
+    assert round(fit.color.value, 3) == written["base_color"][0]
+    assert (fit.material.roughness, fit.material.metallic) == (fit.roughness.value, 1.0)
+    with pytest.raises(gc.GraycastError, match=r"observations is .*: give a Reflections"):
+        gc.fit_material(scan, seed=0)
+
+
+@pytest.mark.slow
 def test_parts_and_bin_are_told_apart_without_masks(scene, tmp_path, capsys):
     """Oracle: the simulated masks and materials of the steel parts and of the matt grey bin."""
     out = tmp_path / "m.yaml"

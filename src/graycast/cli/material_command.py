@@ -88,7 +88,7 @@ def _write(options: argparse.Namespace, folder: Path) -> None:
     """Fit the material, or that of each class, and write the files to a folder."""
     import numpy as np
 
-    from ..real.material import divide, open_scan, read_masks, scale_of
+    from ..real.material import divide, open_scan, read_masks
 
     mask = None if options.mask is None else read_masks(options.mask)
     white = None if options.reference is None else read_masks(options.reference)
@@ -97,7 +97,7 @@ def _write(options: argparse.Namespace, folder: Path) -> None:
         print(f"warning: {warning}")
     scale = None
     if white is not None:
-        scale = scale_of(scan.observations(white), options.reflectance)
+        scale = scan.scale(white, options.reflectance)
     if lost := scan.saturated_pixels(mask):
         print(f"note: {lost} saturated pixels are left out: no depth between them shows a plane")
     if mask is None:
@@ -143,7 +143,7 @@ def _fit_classes(
     print(f"{division.count} classes of material")
     for number in range(division.count):
         print(f"\n{describe_class(observations, division, number)}")
-        members = observations.part(division.members(number))
+        members = observations.part(np.flatnonzero(division.members(number)))
         area = np.zeros(scan.surface_m.shape, dtype=bool)
         area[tuple(members.pixel.T)] = True
         out = folder / _numbered(options.out, number).name

@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
+from ...base import array_types as arrays
 from ...base.frames import transform_points
+from ...base.public_value import public_value
 from ...camera.decode import CodeMap, Levels, Mark, Reason
 from ...rig.optics import (
     Optics,
@@ -23,6 +25,7 @@ SURE_SIGMAS = 5.0  # Darker pixels are left out.
 MOST_NORMAL_SIGMA_RAD = 0.05  # Pixels with a less certain normal are left out.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reflections:
     """Pixels of one surface: their directions, and their light without distance and vignetting.
@@ -31,33 +34,33 @@ class Reflections:
     projector. Where `clipped`, a picture is saturated, and the true light is at least `light`.
     """
 
-    normal: Float[np.ndarray, "n 3"]
-    to_camera: Float[np.ndarray, "n 3"]
-    to_projector: Float[np.ndarray, "n 3"]
-    light: Float[np.ndarray, " n"]
-    sigma: Float[np.ndarray, " n"]
-    clipped: Bool[np.ndarray, " n"]
-    normal_sigma_rad: Float[np.ndarray, " n"]
-    area_px: Float[np.ndarray, " n"]  # The number of pixels that determine the normal
-    pixel: Int[np.ndarray, "n 2"]  # Row and column
-    point_m: Float[np.ndarray, "n 3"]  # Place in the camera's frame
+    normal: arrays.FloatArray_n_3
+    to_camera: arrays.FloatArray_n_3
+    to_projector: arrays.FloatArray_n_3
+    light: arrays.FloatArray_n
+    sigma: arrays.FloatArray_n
+    clipped: arrays.BoolArray_n
+    normal_sigma_rad: arrays.FloatArray_n
+    area_px: arrays.FloatArray_n  # The number of pixels that determine the normal
+    pixel: arrays.IntArray_n_2  # Row and column
+    point_m: arrays.FloatArray_n_3  # Place in the camera's frame
 
     def __len__(self) -> int:
         return len(self.light)
 
     @property
-    def half_angle_rad(self) -> Float[np.ndarray, " n"]:
+    def half_angle_rad(self) -> arrays.FloatArray_n:
         """The angle between the normal and the middle of both directions."""
         half = self.to_camera + self.to_projector
         half /= np.linalg.norm(half, axis=-1, keepdims=True)
         return np.arccos(np.clip((half * self.normal).sum(axis=-1), -1, 1))
 
     @property
-    def light_cosine(self) -> Float[np.ndarray, " n"]:
+    def light_cosine(self) -> arrays.FloatArray_n:
         return (self.normal * self.to_projector).sum(axis=-1)
 
-    def part(self, index: np.ndarray) -> "Reflections":
-        """Return the pixels of an index or a mask."""
+    def part(self, index: arrays.IntArray_n) -> "Reflections":
+        """Return the pixels with these numbers."""
         return Reflections(**{name: getattr(self, name)[index] for name in self.__slots__})
 
 
@@ -108,7 +111,7 @@ def observe(
         )
     facing = (observations.normal * observations.to_camera).sum(axis=-1)
     good = (facing > LEAST_COSINE) & (observations.light_cosine > LEAST_COSINE) & (factor > 0)
-    return observations.part(good)
+    return observations.part(np.flatnonzero(good))
 
 
 def _irradiance(rig: Rig, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:

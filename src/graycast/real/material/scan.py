@@ -92,7 +92,8 @@ class MaterialScan:
         if self.result.light is None:
             raise GraycastError(
                 f"{self.path}: the code cannot separate the projector's direct light, which needs "
-                "phases, or narrow stripes with their inverses: scan with such a code"
+                "phases, or narrow stripes with their inverses or with white and black frames: "
+                "scan with such a code"
             )
         direct, indirect = (light.astype(np.float64) for light in self.result.light)
         return direct, indirect

@@ -1,4 +1,4 @@
-"""The reflection that one scan observes: geometry and the projector's direct light per pixel."""
+"""The reflection that one scan observes: geometry and the projector's light per pixel."""
 
 from dataclasses import dataclass
 
@@ -86,22 +86,52 @@ def observe(
     """
     direct, shape = direct.astype(np.float64), direct.shape
     inside = np.ones(shape, dtype=bool) if mask is None else mask
-    normals = smooth_normals(rig.camera, depth_m, inside)
     noise = np.sqrt(2 * (levels.floor_dn2 + levels.slope_dn * np.maximum(direct, 0)))
     saturated = codes.reason == Reason.SATURATED
-    keep = inside & np.isfinite(normals.sigma_rad) & (saturated | (codes.reason == Reason.DECODED))
-    keep &= (normals.sigma_rad <= MOST_NORMAL_SIGMA_RAD) & (direct > SURE_SIGMAS * noise)
-    point_m = mask_points(rig.camera, depth_m, keep)
-    factor = np.broadcast_to(exposure, shape)[keep] * relative_illumination(rig.camera)[keep]
-    factor = factor * _irradiance(rig, point_m)
+    usable = saturated | (codes.reason == Reason.DECODED)
     mark = codes.mark
     clipped = saturated if mark is None else saturated | ((mark & Mark.CLIPPED) > 0)
+    light = np.where(usable, direct, 0.0)
+    return observe_picture(
+        rig, depth_m, light, noise, inside=inside, clipped=clipped, exposure=exposure
+    )
+
+
+def observe_picture(
+    rig: Rig,
+    depth_m: Float[np.ndarray, "h w"],
+    light: Float[np.ndarray, "h w"],
+    noise: Float[np.ndarray, "h w"],
+    *,
+    inside: Bool[np.ndarray, "h w"],
+    clipped: Bool[np.ndarray, "h w"],
+    exposure: Float[np.ndarray, "h w"] | float = 1.0,
+) -> Reflections:
+    """Return the observations of a picture that only the scanner's white pattern lights.
+
+    A picture includes light that other surfaces reflect, which makes the fit less certain than a
+    stack does.
+
+    Args:
+        depth_m: depth of each pixel; NaN where there is none.
+        light: the picture's light above black, proportional to radiance.
+        noise: standard deviation of `light`.
+        inside: the pixels of one surface.
+        clipped: pixels whose true light is at least `light`.
+        exposure: each pixel's exposure relative to a common exposure.
+    """
+    normals = smooth_normals(rig.camera, depth_m, inside)
+    keep = inside & np.isfinite(normals.sigma_rad)
+    keep &= (normals.sigma_rad <= MOST_NORMAL_SIGMA_RAD) & (light > SURE_SIGMAS * noise)
+    point_m = mask_points(rig.camera, depth_m, keep)
+    factor = np.broadcast_to(exposure, light.shape)[keep] * relative_illumination(rig.camera)[keep]
+    factor = factor * _irradiance(rig, point_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         observations = Reflections(
             normal=normals.normal[keep],
             to_camera=_unit(-point_m),
             to_projector=_unit(rig.T_cam_proj[:3, 3] - point_m),
-            light=direct[keep] / factor,
+            light=light[keep] / factor,
             sigma=noise[keep] / factor,
             clipped=clipped[keep],
             normal_sigma_rad=normals.sigma_rad[keep],

@@ -13,7 +13,6 @@ surfaces without depth, unless they are saturated. Pixels without a normal, at e
 faces, are rendered but not compared.
 """
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,12 +20,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import yaml
 from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.stats import spearmanr
 
-from graycast.base.errors import DecodeError, GraycastError
+from graycast.base.errors import GraycastError
+from graycast.base.folder import write_whole
 from graycast.base.plotting import caption, plain_figure, save_png
+from graycast.base.settings import parse_yaml, read_text
 from graycast.camera.decode import DepthMap, Reason, epipolar_residual_px, off_the_line, triangulate
 from graycast.camera.decode.plan import plan_axes
 from graycast.camera.exposure import ExposureSpec
@@ -35,14 +37,7 @@ from graycast.camera.scanner import Scanner, take
 from graycast.camera.stack import read_description
 from graycast.camera.stack.stack_pictures import read_pictures
 from graycast.cell.resolve import patterns_of
-from graycast.real.material import (
-    MaterialFit,
-    MaterialScan,
-    fit_material,
-    open_scan,
-    read_masks,
-    scale_of,
-)
+from graycast.real.material import MaterialFit, MaterialScan, fit_material, open_scan, read_masks
 from graycast.real.material.normals import smooth_normals
 from graycast.real.rescan.source import SourceImage
 from graycast.real.rescan.staging import stage
@@ -154,7 +149,7 @@ def fitted(
     """Fit a material to each region; the intensity of the light is one number for the scan."""
     scale = None
     if reflectance is not None:
-        scale = scale_of(scan.observations(regions[REST]), reflectance)
+        scale = scan.scale(regions[REST], reflectance)
     fits: dict[str, MaterialFit] = {}
     for name, mask in regions.items():
         show(f"the material {name} is fitted")
@@ -238,13 +233,27 @@ def acted(
     exposure_s = wanted_e / (sensor.responsivity * own)
     scanner = replace(scanner, sensor=sensor, exposure=ExposureSpec(exposure_s=exposure_s))
     capture = take(scanner, radiance, seed=0)
-    folder.mkdir(parents=True, exist_ok=True)
     kind = np.uint8 if sensor.bit_depth == 8 else np.uint16
-    for section, frame in zip(read_description(real.scan.path).frames, capture.frames, strict=True):
-        if not cv2.imwrite(str(folder / section.file.name), frame.astype(kind)):
-            raise DecodeError(f"{section.file.name}: name the pictures of the stack .png")
-    shutil.copyfile(real.scan.path, folder / "stack.yaml")
+    write_pictures(real.scan.path, [frame.astype(kind) for frame in capture.frames], folder)
     return folder
+
+
+def write_pictures(stack: Path, pictures: Sequence[np.ndarray], folder: Path) -> None:
+    """Write other pictures of the frames of a stack file, with a stack file of their own.
+
+    The pictures are numbered PNG files in one folder, because a stack file may name pictures in
+    other folders, or pictures of a kind that loses detail.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    content = parse_yaml(read_text(stack), stack)
+    frames = [
+        {**entry, "file": f"{number:03d}.png"} for number, entry in enumerate(content["frames"])
+    ]
+    for entry, picture in zip(frames, pictures, strict=True):
+        write_whole(folder / entry["file"], cv2.imencode(".png", picture)[1].tobytes())
+    content = {key: value for key, value in content.items() if key != "rig"} | {"frames": frames}
+    text = yaml.safe_dump(content, sort_keys=False)
+    write_whole(folder / "stack.yaml", text.encode())
 
 
 # --- comparison ----------------------------------------------------------------------------------

@@ -39,6 +39,7 @@ _MAKERS = {  # An error says how a script gets a value of these types.
     "PickConfig": "graycast.load_pick_config returns one",
     "PictureSelection": "graycast.pictures_of returns one",
     "PoseModel": "graycast.pose_model returns one",
+    "Reflections": "graycast.open_scan(path).observations() returns one",
     "Renderer": "graycast.open_renderer returns one",
     "Rig": "graycast.preset(name).rig is one",
     "Scanner": "graycast.preset and graycast.load_scanner return one",

@@ -304,7 +304,8 @@ def test_results_of_an_earlier_run_are_removed_when_a_new_result_is_written(tmp_
     path = save(tmp_path, describe(code), shoot(rig, code))
     write_result(decode_stack(path, rig), tmp_path / "out")
     write_result(decode_stack(path), tmp_path / "out")
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["code.npz", "preview.png"]
+    left = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert left == ["code.npz", "light.npz", "preview.png"]
 
 
 def test_the_error_for_an_unwritable_folder_names_the_folder(tmp_path):

@@ -114,3 +114,41 @@ def decoded_at_limit(
     last = np.append(p[1:] != p[:-1], True)[: len(p)]  # A limit includes all equal probabilities.
     ends = np.nonzero(last & (share <= MOST_WRONG))[0]
     return float(ends[-1] + 1) / max(pixels, 1) if len(ends) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worth:
+    """Figures of one depth map; `wrong` is a share of the decoded pixels of the parts."""
+
+    decoded: float
+    wrong: float
+    roc_area: float | None = None
+    calibration_error: float | None = None
+    decoded_at_limit: float | None = None
+
+
+def worth(
+    depth_m: Float[np.ndarray, "h w"],
+    true_m: Float[np.ndarray, "h w"],
+    parts: Bool[np.ndarray, "h w"],
+    *,
+    sigma_m: Float[np.ndarray, "h w"] | None = None,
+    p_wrong: Float[np.ndarray, "h w"] | None = None,
+) -> Worth:
+    """Compare the depth of the parts' pixels with the true depth."""
+    known = parts & np.isfinite(depth_m)
+    sigma = None if sigma_m is None else sigma_m[known]
+    wrong = is_wrong(depth_m[known], true_m[known], sigma)
+    pixels = int(parts.sum())
+    share = float(wrong.mean()) if wrong.size else 0.0
+    decoded = int(known.sum()) / max(pixels, 1)
+    if p_wrong is None:
+        return Worth(decoded=decoded, wrong=share)
+    p = p_wrong[known]
+    return Worth(
+        decoded=decoded,
+        wrong=share,
+        roc_area=roc_area(p, wrong),
+        calibration_error=calibration_error(reliability(p, wrong)),
+        decoded_at_limit=decoded_at_limit(p, wrong, pixels),
+    )

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from benchmarks.decoders import calibration_error, decoded_at_limit, is_wrong, reliability, roc_area
+from benchmarks.decoders import (
+    calibration_error,
+    decoded_at_limit,
+    is_wrong,
+    reliability,
+    roc_area,
+    worth,
+)
 
 
 def test_without_sigma_a_depth_off_by_more_than_1_mm_is_wrong():
@@ -35,3 +42,16 @@ def test_a_limit_of_p_wrong_includes_all_equal_probabilities():
     wrong = np.array([False, False, False, True])
     assert decoded_at_limit(p_wrong, wrong, 8) == pytest.approx(2 / 8)
     assert decoded_at_limit(np.zeros(0), np.zeros(0, bool), 8) == 0.0
+
+
+def test_shares_count_the_pixels_of_the_parts_alone():
+    true_m = np.full((1, 5), 0.8)
+    depth_m = true_m + np.array([[0.0, 2e-3, 0.0, np.nan, 9.0]])
+    parts = np.array([[True] * 4 + [False]])
+    p_wrong = np.array([[0.0, 1.0, 0.0, np.nan, 0.0]])
+    figures = worth(depth_m, true_m, parts, p_wrong=p_wrong)
+    assert figures.decoded == pytest.approx(3 / 4)
+    assert figures.wrong == pytest.approx(1 / 3)
+    assert (figures.roc_area, figures.calibration_error) == (1.0, 0.0)
+    assert figures.decoded_at_limit == pytest.approx(2 / 4)
+    assert worth(depth_m, true_m, parts).roc_area is None

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from graycast.camera.decode import DecodeSpec, FilterSpec
-from graycast.camera.light import Radiance
 from graycast.camera.scanner import Scanner, take
 from graycast.camera.sensor import Capture
 from graycast.cell.resolve import patterns_of
 from graycast.dataset.raw import raw_files
 from graycast.dataset.sample import Raw
+from graycast.rendering.radiance import Radiance
 
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
 EDGES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)

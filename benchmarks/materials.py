@@ -15,13 +15,13 @@ from jaxtyping import Bool, Float
 
 from graycast.base.tables import markdown_table
 from graycast.camera.decode import DecodeSpec, DepthMap, FilterSpec
-from graycast.camera.scanner import Scanner, measure, take
-from graycast.cell.resolve import patterns_of
+from graycast.camera.scanner import Scanner, measure
 from graycast.rendering import Quality, Renderer, open_renderer
 from graycast.rig.pattern import CODECS, CodeSpec
 from graycast.world.drop import DropLimits, drop
 from graycast.world.parts import Material
 
+from .decoders import pictures_of, shared_patterns
 from .stages import cell_of
 
 PARTS, SEED, SAMPLES = 20, 2, 64  # the settings were chosen with the heap of seed 1
@@ -157,16 +157,14 @@ def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:
     cell = cell_of({"count": PARTS, "rig": name, "resolution": resolution})
     layout = drop(cell.scene, (PARTS,), seed=SEED, limits=DropLimits())
     scanners = _scanners(name, cell.scanner)
-    keys, patterns = _patterns(scanners)
+    keys, patterns = shared_patterns([*scanners.values()])
     for material, settings in MATERIALS.items():
         parts = (replace(cell.scene.parts[0], material=Material(**settings)),)
         scene = replace(cell.scene, parts=parts)
         quality = Quality(samples=SAMPLES)
         rendering = renderer.render(scene, layout, patterns, quality=quality, seed=SEED)
         for code, scanner in scanners.items():
-            own = [keys.index(key) for key in _keys(scanner)]
-            light = replace(rendering.radiance, pattern=rendering.radiance.pattern[own])
-            capture = take(scanner, light, seed=SEED)
+            capture, light = pictures_of(scanner, rendering.radiance, keys, seed=SEED)
             depth = measure(scanner, capture, path_noise=light.path_noise)[1]
             own_pixels = rendering.truth.instance >= 0
             for place, pixels in ((PARTS_PLACE, own_pixels), (AROUND_PLACE, around(own_pixels))):
@@ -199,20 +197,6 @@ def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
             code = CodeSpec(codec=codec, axes=("column", "row"))
             scanners[codec] = replace(scanner, code=code, decode=DecodeSpec(), filters=FilterSpec())
     return scanners
-
-
-def _keys(scanner: Scanner) -> list[tuple[Any, ...]]:
-    """Return a key for each of a scanner's pictures; equal keys mean equal pictures."""
-    code = scanner.light_code()
-    return [(frame, code.offset_px, code.stride_px) for frame in code.frames]
-
-
-def _patterns(scanners: Mapping[str, Scanner]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
-    """Return every different picture of all scanners once, with its key."""
-    pictures: dict[tuple[Any, ...], np.ndarray] = {}
-    for scanner in scanners.values():
-        pictures |= dict(zip(_keys(scanner), patterns_of(scanner), strict=True))
-    return list(pictures), np.stack(list(pictures.values()))
 
 
 def worth(

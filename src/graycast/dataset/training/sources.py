@@ -23,8 +23,8 @@ from .foreign import Foreign, is_foreign, open_foreign
 
 ReadOne = Callable[[int], Example]
 
-# The base class tells editors the type of the examples. At run time it has no item type, because a
-# run-time type check would read an example from its files.
+# This base class declares the type of the examples for editors. At run time it has no item type,
+# because a run-time type check would read an example from its files.
 if TYPE_CHECKING:
     _Sequence = Sequence[Example]
 else:

@@ -84,7 +84,7 @@ def test_python_and_the_command_fit_the_same_material(scene, tmp_path):
 
 
 @pytest.mark.slow
-def test_parts_and_bin_are_told_apart_without_masks(scene, tmp_path, capsys):
+def test_parts_and_bin_are_separated_without_masks(scene, tmp_path, capsys):
     """Oracle: the simulated masks and materials of the steel parts and of the matt grey bin."""
     out = tmp_path / "m.yaml"
     white = ("--reference", scene / "white.png", "--reflectance", 0.5)
@@ -142,7 +142,7 @@ def test_the_rig_of_another_scanner_is_refused(scene, tmp_path, capsys, words, m
     ("gain", "message"), [(0.0, "no pixel is lit"), (60.0, "saturated")], ids=["dark", "bright"]
 )
 def test_a_scan_that_is_too_dark_or_too_bright_is_refused(scene, tmp_path, capsys, gain, message):
-    """All pictures of the scene, with their light above the black level multiplied."""
+    """The light above the black level is multiplied by `gain` in all pictures of the scene."""
     frames = tmp_path / "frames"
     shutil.copytree(scene / "frames", frames)
     (frames / "exposure.png").unlink()

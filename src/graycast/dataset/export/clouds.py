@@ -1,7 +1,7 @@
-"""Export coloured point clouds of the perfect and of the simulated scanner, one file each.
+"""Export coloured point clouds from perfect and from scanner depth, in one file each.
 
-Points are metres in the camera frame. A lens with distortion is taken into account: a point lies
-on its pixel's true ray.
+Points are in metres in the camera frame. Each point is on the ray of its pixel, for which the
+distortion of the lens is corrected.
 """
 
 from collections.abc import Iterable
@@ -45,7 +45,7 @@ def pcd_bytes(
     *,
     width_px: int | None,
 ) -> bytes:
-    """Return a binary PCD 0.7 of the Point Cloud Library, whose colour is one packed field `rgb`.
+    """Return a binary PCD 0.7 file of the Point Cloud Library, with colour packed in a field `rgb`.
 
     Source: pointclouds.org, "The PCD (Point Cloud Data) file format".
     """

@@ -4,7 +4,7 @@ python -m studies.known_materials out/known
 python -m studies.known_materials out/known --classes
 
 Each scan shows a heap of 20 built-in metal parts with the preset in a matt grey bin, whose
-reflectance of 0.5 is the reference. A folder that exists is continued.
+reflectance of 0.5 is the reference. Scans that exist in the folder are used again.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from graycast.rig.pair import Rig
 from graycast.world.parts import MATERIALS
 
 GREY = 0.5
-APART_PX = 4  # The reference keeps this distance from the parts, whose light reaches the bin.
+APART_PX = 4  # The reference is this far from parts, since their light reaches the bin.
 NAMES = (
     "aluminium-cast", "steel", "zinc", "copper", "brass", "cast-iron", "steel-black-oxide", "rust",
     "plastic", "abs-black", "pom-black", "pom-white", "rubber", "paper", "cardboard",
@@ -71,7 +71,7 @@ def _away_from(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def row_of(name: str, rig: str, folder: Path) -> list[str]:
-    """Return the true and the fitted numbers of a material, or the sentence that refuses it."""
+    """Return the true and the fitted numbers of a material, or the error of the fit."""
     material = MATERIALS[name].material
     scene = scanned(name, rig, folder)
     try:

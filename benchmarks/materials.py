@@ -1,8 +1,7 @@
-"""Depth on matt, plastic, dark and metal parts: docs/measurements/materials.md.
+"""Depth on matt, plastic, dark and metal parts, for docs/measurements/materials.md.
 
-A heap of brackets is rendered once per rig and material, under the patterns of every code that is
-compared. Each code's pictures are taken and measured, and the depth of the parts' pixels is
-compared with the true depth.
+A heap of brackets is rendered once per rig and material, with the patterns of all compared codes.
+For each code, a scan is simulated, and its depth on parts is compared with the true depth.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,7 +23,7 @@ from graycast.world.parts import Material
 from .decoders import pictures_of, shared_patterns
 from .stages import cell_of
 
-PARTS, SEED, SAMPLES = 20, 2, 64  # the settings were chosen with the heap of seed 1
+PARTS, SEED, SAMPLES = 20, 2, 64  # Seed 1 was used to choose the settings of scanners.
 SCANNERS = ("like-phoxi-s", "like-phoxi-m", "like-phoxi-l", "paper")
 PRESET, BARE = "preset", "without guards"
 EXPOSURES = {"one exposure": (1.0,), "three exposures": (0.25, 1.0, 4.0)}
@@ -78,10 +77,10 @@ the most, {worst_wrong:.1f} %.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Worth:
-    """Shares of the parts' pixels in one depth map; `wrong` is a share of the decoded pixels.
+    """Shares of the pixels of a place in one depth map; `wrong` is a share of the decoded pixels.
 
-    `error_over_sigma` is the median of |error| / sigma over that of a normal law: 1 where sigma is
-    true.
+    `error_over_sigma` is the median of |error| / sigma, divided by the median of a normal
+    distribution. It is 1 if sigma is right.
     """
 
     scanner: str
@@ -173,14 +172,14 @@ def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:
 
 
 def around(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels near a part that are not part of any."""
+    """Return a mask of the pixels near parts that do not show a part."""
     square = np.ones((2 * AROUND_PX + 1,) * 2, np.uint8)
     near = np.asarray(cv2.dilate(parts.astype(np.uint8), square)) > 0
     return near & ~parts
 
 
 def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
-    """Return the preset, the preset without its guards, and a scanner for each other code."""
+    """Return the preset and variants of it: without guards, other exposures, and other codes."""
     scanners = {PRESET: scanner}
     if name != "paper":
         scanners[BARE] = replace(
@@ -202,7 +201,7 @@ def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
 def worth(
     depth: DepthMap, true_m: Float[np.ndarray, "h w"], pixels: Bool[np.ndarray, "h w"]
 ) -> dict[str, float]:
-    """Return the figures of `Worth`."""
+    """Return the numeric fields of `Worth` for the given pixels of a depth map."""
     known = pixels & np.isfinite(depth.depth_m)
     off_m, sigma_m = np.abs(depth.depth_m - true_m)[known], depth.sigma_m[known]
     wrong = depth.is_wrong(true_m)[known]

@@ -5,7 +5,7 @@ python -m studies.known_materials out/known --classes
 python -m studies.known_materials out/known --rig like-zivid-2plus-m60 --distance 0.63
 
 Each scan shows a heap of 20 built-in metal parts with the preset in a matt grey bin, whose
-reflectance of 0.5 is the reference. A folder that exists is continued.
+reflectance of 0.5 is the reference. Scans that exist in the folder are used again.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from graycast.world.parts import MATERIALS
 
 GREY = 0.5
 SEED = 5
-APART_PX = 4  # The reference keeps this distance from the parts, whose light reaches the bin.
+APART_PX = 4  # The reference is this far from parts, since their light reaches the bin.
 NAMES = (
     "aluminium-cast", "steel", "zinc", "copper", "brass", "cast-iron", "steel-black-oxide", "rust",
     "plastic", "abs-black", "pom-black", "pom-white", "rubber", "paper", "cardboard",
@@ -81,7 +81,7 @@ def away_from(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def row_of(name: str, rig: str, distance_m: float | None, folder: Path) -> list[str]:
-    """Return the true and the fitted numbers of a material, or the sentence that refuses it."""
+    """Return the true and the fitted numbers of a material, or the error of the fit."""
     material = MATERIALS[name].material
     scene = scanned(name, rig, distance_m, folder)
     try:

@@ -1,4 +1,4 @@
-"""The table of materials: the criterion of a wrong depth, and pictures rendered once."""
+"""The table of materials: the limit for wrong depth, the renders, and the text of the page."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_a_depth_with_an_error_above_1_mm_and_5_sigmas_is_wrong():
 
 @pytest.mark.slow
 def test_every_picture_of_every_code_is_rendered_once():
-    """The preset's pictures include all pictures of the scanner without guards."""
+    """The preset's pictures include all pictures that the scanner without guards needs."""
     scanners = _scanners("like-phoxi-m", preset("like-phoxi-m", "small"))
     keys, patterns = shared_patterns([*scanners.values()])
     assert len(set(keys)) == len(keys) == len(patterns)

@@ -1,4 +1,4 @@
-"""A simulated scan, whose materials are known, is re-enacted."""
+"""The re-enactment of a simulated scan, whose materials are known."""
 
 import cv2
 import numpy as np
@@ -32,7 +32,7 @@ def scene(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_simulated_scan_is_predicted_from_its_own_depth(scene, tmp_path):
-    """The percentiles of the light show a wrong material, normal, or vignetting."""
+    """A wrong material, normal or vignetting would change the percentiles of the light."""
     masks = [cv2.imread(str(path), 0) for path in (scene / "mask_sl").glob("*.png")]
     cv2.imwrite(str(tmp_path / "parts.png"), np.max(masks, axis=0))
     stack, rig = scene / "frames" / "stack.yaml", scene / "frames" / "rig.yaml"

@@ -12,6 +12,9 @@ from graycast.dataset.export import Options, Split, export
 from graycast.dataset.picture_bytes import probability_steps
 from graycast.dataset.stored import open_dataset
 
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
 
 def test_steps_are_logarithmic_from_one_to_a_ten_thousandth():
     p_wrong = np.array([[1, 0.01, 1e-4], [1e-6, 0, np.nan]], dtype=np.float32)
@@ -51,6 +54,7 @@ def test_a_dataset_stores_the_probability_of_each_depth(tmp_path, opened, sample
         assert np.array_equal(np.isnan(stored), np.isnan(expected))
         known = np.isfinite(expected)
         assert np.abs(np.log(stored[known] / expected[known])).max() < 0.0182
+        np.testing.assert_array_equal(scene.example().p_wrong, stored)
 
 
 def test_a_dataset_without_probabilities_is_valid_and_has_none(dataset):

@@ -55,7 +55,8 @@ class TrainSpec:
     Attributes:
         model, backbone: name of the network, one of `networks.MODELS`, and of its backbone.
         input, longest_px: kind of the network's input, and its longer side.
-        holes, relief, range_m: fields of the encoding; if the range is None, it is measured.
+        holes, relief, p_wrong, range_m: fields of the encoding; if the range is None, it is
+            measured.
         epochs: number of passes over all pictures.
         batch, learning_rate: number of pictures in a step, and highest learning rate.
         seed: seed for the initial weights, the order of pictures, and the augmentation.
@@ -75,6 +76,7 @@ class TrainSpec:
     longest_px: int = 384
     holes: str = "channel"
     relief: bool = True
+    p_wrong: bool = False
     range_m: tuple[float, float] | None = None
     epochs: int = 40
     batch: int | None = None
@@ -192,6 +194,7 @@ def _encoding(sets: Sequence[Examples], spec: TrainSpec) -> Encoding:
         far_m=far_m,
         holes=spec.holes,
         relief=spec.relief,
+        p_wrong=spec.p_wrong,
     )
 
 

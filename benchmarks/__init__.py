@@ -1,1 +1,1 @@
-"""Measurements of this repository's own code: no part of the package `graycast`."""
+"""Measurements of the code of this repository, which are not part of the package `graycast`."""

@@ -1,6 +1,6 @@
-"""Benchmarks and the tables of docs/: `python -m benchmarks --help`.
+"""Command line of the benchmarks, which also write tables of docs/: `python -m benchmarks --help`.
 
-A benchmark's module is imported when it runs, since most of them import all of Graycast.
+The module of a benchmark is imported only when it runs, because most import all of Graycast.
 """
 
 import argparse
@@ -342,7 +342,7 @@ def run_page(args: argparse.Namespace) -> int:
 
 
 def write(sections: Iterable[tuple[str, str]], out: Path | None) -> int:
-    """Write a page section by section as it is measured, or print it."""
+    """Measure the sections, and write them to a page or, without a path, print them."""
     texts = []
     for number, (heading, text) in enumerate(sections):
         show(f"{heading} is measured")
@@ -433,7 +433,7 @@ def run_compare(args: argparse.Namespace) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        return 130  # By now, the other tree and its process have ended.
+        return 130  # The other tree is already removed, and its process has ended.
     show("")
     rows = summarise(records)
     print(table(rows))
@@ -445,5 +445,6 @@ def run_compare(args: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout` stops it as Ctrl-C does
+    # `timeout` sends SIGTERM, which must end the benchmark like Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(main())

@@ -1,13 +1,13 @@
-"""The agreement of docs/measurements/renderers.md: the same scenes by two renderers.
+"""Agreement of two renderers on the same scenes, for docs/measurements/renderers.md.
 
 Both get the same layouts, patterns, path depth and, for decoding, one exposure of a sensor without
-noise; Mitsuba renders without its footprint filter, whose bias is not Cycles'. The renderers
-then differ only in the light transport and in the Monte Carlo noise, which is common to all
-patterns in Mitsuba and independent in each frame of Cycles. The noise widens the spread of the
-ratios of single pixels but does not move their medians. Where little light arrives, noise
-decides which pixels can be decoded. The first renderer, which is fast, therefore uses many more
-samples. It is also compared with itself at the number of samples of the second renderer, which
-shows the effect of noise only.
+noise. Mitsuba renders without its footprint filter, which would add a bias that Cycles does not
+have. The renderers then differ only in light transport and Monte Carlo noise, which is common to
+all patterns in Mitsuba and independent in each frame of Cycles. Noise widens the distribution of
+the ratios of single pixels but does not move their median. In dark areas, noise decides which
+pixels can be decoded. The first renderer is fast and therefore uses many more samples. It is also
+compared with itself at the second renderer's number of samples, which shows the effect of noise
+alone.
 """
 
 from collections.abc import Sequence
@@ -29,9 +29,9 @@ from .figures import Figures, Show
 SCENES, SIZE_PX = 5, (172, 130)
 EACH = 3  # parts of each material in a scene
 FIRST_FACTOR = 8  # The first rendering takes this many times the samples of the second.
-FEWER_SEED = 10_000  # This seed is far from the seeds of the scenes.
+FEWER_SEED = 10_000  # This offset keeps seeds different from the seeds of the scenes.
 BOX = "bin"  # the class of pixels without a part
-LIT_SHARE = 0.02  # A ratio needs this share of the 99th percentile of light.
+LIT_SHARE = 0.02  # Ratios are computed where the light is above this share of its 99th percentile.
 RATIO_EDGES = np.linspace(0.8, 1.2, 81)
 COLUMN_EDGES = np.linspace(-1.0, 1.0, 81)
 
@@ -43,7 +43,7 @@ VALID_ALIKE_SHARE = 0.97
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """A scene rendered by one renderer, and its scan."""
+    """The rendering of a scene by one renderer, and its scan."""
 
     rendering: Rendering
     scan: Scan
@@ -51,9 +51,9 @@ class View:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """One scene rendered by both; `kind` is the class of each pixel, and `BOX` is the last class.
+    """One scene rendered by both renderers; `kind` is the class of each pixel, with `BOX` last.
 
-    `fewer` is the view of the first renderer at the second's number of samples.
+    `fewer` is the view of the first renderer at the number of samples of the second.
     """
 
     first: View
@@ -76,12 +76,12 @@ def study(
     size_px: tuple[int, int],
     show: Show,
 ) -> Figures:
-    """Render and decode the scenes with both, and compare.
+    """Render and decode the scenes with both renderers, and compare the results.
 
     Args:
-        second: the ratios are this renderer's light over the first's.
+        second: ratios are the light of this renderer divided by that of the first.
         samples: number of samples of the second renderer.
-        size_px: width and height of the crop of the camera's picture.
+        size_px: width and height of the central part of the camera's picture that is rendered.
 
     Raises:
         GraycastError: no pixel could be decoded in both pictures.
@@ -127,7 +127,7 @@ def _pair(
 
 
 def compare(pairs: Sequence[Pair], names: tuple[str, ...]) -> Figures:
-    """Return the figures of pairs of views; `names` are the names of the parts' classes."""
+    """Return the results for pairs of views; `names` are the names of the classes of parts."""
     rows, histograms = [], {"ratio_edges": RATIO_EDGES.tolist()}
     for light in ("white", "ambient"):
         for index, name in enumerate((*names, BOX)):
@@ -147,9 +147,9 @@ def compare(pairs: Sequence[Pair], names: tuple[str, ...]) -> Figures:
 def _lit(
     pairs: Sequence[Pair], light: str, kind: int
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return the light of both renderers on the pixels of a class with enough light on average.
+    """Return the light of both renderers at the pixels of a class whose mean light is high enough.
 
-    A selection by the picture of one renderer would be biased by its noise.
+    The selection uses the mean of both pictures, because the noise of one would bias it.
     """
     lights = []
     for pair in pairs:
@@ -166,7 +166,7 @@ def _lit(
 
 def _ratios(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Figures:
     with np.errstate(divide="ignore"):
-        # Interpolation between infinite ratios (no light at all) would give NaN.
+        # Interpolation between infinite ratios (pixels without light) would give NaN.
         low, median, high = np.percentile(other / one, [5, 50, 95], method="inverted_cdf")
     return {
         "pixels": len(one),
@@ -178,7 +178,7 @@ def _ratios(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Fig
 
 
 def _depth(pairs: Sequence[Pair]) -> tuple[Figures, Float[np.ndarray, " n"]]:
-    """Compare decoded depth, second minus first; also return the differences in columns."""
+    """Compare decoded depth, second minus first; return also the differences in columns."""
     columns, depth_mm, alike, only = [], [], [], {"first": 0, "second": 0}
     for pair in pairs:
         one, other = pair.first.scan, pair.second.scan
@@ -208,7 +208,7 @@ def _depth(pairs: Sequence[Pair]) -> tuple[Figures, Float[np.ndarray, " n"]]:
 
 
 def _truth(pairs: Sequence[Pair]) -> Figures:
-    """Compare the ground truth of both: ids, and depth and normals where the ids agree."""
+    """Compare the ground truth of both: instance ids, and depth and normals where ids agree."""
     same, depth_m, cosine = [], [], []
     for pair in pairs:
         one, other = pair.first.rendering.truth, pair.second.rendering.truth
@@ -227,7 +227,7 @@ def _truth(pairs: Sequence[Pair]) -> Figures:
 
 
 def _accepted(rows: list[Figures], depth: Figures) -> Figures:
-    """Whether each figure is within its limit."""
+    """Return whether each result is within its limit."""
     accepted = {}
     for row in rows:
         if row["light"] == "white" and row["class"] in MEDIAN_RATIO:

@@ -1,12 +1,12 @@
-"""A check by another physics engine, MuJoCo, whether a layout is in balance.
+"""Check with another physics engine, MuJoCo, of whether a layout is in balance.
 
-MuJoCo shares no code with the drop's engine: contacts, friction cone and integrator differ. It
-uses the same collision hulls with the same margins, starts from rest, has no damping and steps by
-0.5 ms. A part that stays in place only because of numerical effects of the drop slides, rolls or
-falls here.
+MuJoCo shares no code with the engine of the drop: contacts, friction cone and integrator differ.
+The simulation uses the same collision hulls with the same margins, starts at rest, and has no
+damping and steps of 0.5 ms. A part that stays in place only because of numerical effects of the
+drop slides, rolls or falls in this simulation.
 
-Contacts are as stiff as the step allows: under its weight a part sinks by about a micrometre.
-A bin that is a mesh is not supported.
+Contacts are as stiff as the step allows: under its weight, a part sinks by about a micrometre.
+Leaves out: bins that are meshes.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from graycast.world.scene import Bin, Layout
 
 STEP_S = 0.0005
 WALL_M = 0.15
-MEMORY_BYTES = 2**30  # 255 parts of many hulls touch in thousands of points
+MEMORY_BYTES = 2**30  # 255 parts of many hulls have thousands of contact points.
 # MuJoCo's `solref` (time constant [s] and damping ratio of a contact) and `solimp`: see its
 # documentation of solver parameters.
 STIFFNESS = (0.002, 1.0)
@@ -29,12 +29,12 @@ IMPEDANCE = (0.99, 0.999, 1e-4, 0.5, 2.0)
 def unbalanced_m(
     box: Bin, bodies: tuple[Body, ...], layout: Layout, *, seconds: float = 1.0
 ) -> Float[np.ndarray, " n"]:
-    """The largest motion of a point of each part within `seconds` of free simulation [m].
+    """Return the largest displacement [m] of a point of each part after `seconds` of simulation.
 
     Args:
         box: a bin that is a box.
-        bodies: kinds of parts as `layout.part_index` counts them.
-        layout: where the parts lie.
+        bodies: kinds of parts, which `layout.part_index` refers to.
+        layout: poses of the parts.
         seconds: simulated time.
 
     Raises:
@@ -68,9 +68,9 @@ def _spec(box: Bin, bodies: tuple[Body, ...], layout: Layout):
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.impratio = 10  # stiffness of friction over that of the normal force
     spec.option.noslip_iterations = 20
-    # MuJoCo's newer collision of convex shapes returns one or two contact points of two faces, or
-    # of an edge along a wall, if a small gap is left, as after each drop: flat boxes then rock.
-    # The older collision, libccd, finds all corners of the contact.
+    # After a drop, contacts have small gaps. MuJoCo's newer collision detection then finds only one
+    # or two contact points between two faces, or an edge and a wall, so that flat boxes rock.
+    # The older collision detection, libccd, finds all corners of the contact.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
     spec.option.iterations = 200
     spec.option.tolerance = 1e-10
@@ -85,7 +85,7 @@ def _spec(box: Bin, bodies: tuple[Body, ...], layout: Layout):
 
 
 def _add_box(spec, box: Bin, bodies: tuple[Body, ...]) -> None:
-    """Add floor and walls, with the mean friction that the drop uses for each contact."""
+    """Add floor and walls; like the drop, use the mean friction of both surfaces of a contact."""
     import mujoco
 
     friction = (box.friction + float(np.mean([body.friction for body in bodies]))) / 2
@@ -124,7 +124,7 @@ def _add_part(spec, name: str, body: Body, T: Float[np.ndarray, "4 4"], kind: in
             meshname=f"{kind} {piece}",
             friction=[body.friction, 0.0, 0.0],
             condim=3,
-            margin=SKIN_M,  # a contact begins at the sum of both margins
+            margin=SKIN_M,  # A contact begins at the sum of both margins.
             solref=STIFFNESS,
             solimp=IMPEDANCE,
         )

@@ -1,7 +1,7 @@
-"""Light reflected by shiny parts: noise and cost with and without paths from the projector.
+"""Noise and cost of light reflected by shiny parts, with and without paths from the projector.
 
-Fifteen polished brackets lie in the wooden box under white light. Each roughness is rendered with
-paths from camera and projector and with paths from the camera alone, at the same seeds and samples.
+Fifteen polished brackets are in the wooden box under white light. Each roughness is rendered with
+paths from camera and projector, and with paths from the camera alone, with equal seeds and samples.
 """
 
 import time
@@ -27,21 +27,21 @@ from .stages import cell_of
 PARTS, SAMPLES, SEEDS = 15, 16, (0, 1)
 ROUGHNESS = (0.05, 0.1, 0.2, 0.35, 0.5)
 BASE = 0.7
-FIREFLY, WINDOW_PX = 3.0, 7  # A firefly exceeds three times the median of 7 x 7 pixels.
+FIREFLY, WINDOW_PX = 3.0, 7  # A firefly is brighter than three times the median of 7 x 7 pixels.
 MATT = "matt"
-CROP = np.s_[70:320, 110:410]  # the bin's floor in a picture of small resolution
+CROP = np.s_[70:320, 110:410]  # the floor of the bin in a picture of small resolution
 
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """White pictures of one scene, and the processor time of one rendering with all patterns."""
+    """White pictures of a scene by seed, and the processor time of a rendering of all patterns."""
 
     white: Float[np.ndarray, "seeds h w"]
     seconds: float
 
 
 def rows() -> Iterator[Figures]:
-    """Yield the figures of each roughness, matt parts first."""
+    """Yield a row of results for matt parts, then for each roughness of metal."""
     cell = cell_of({"count": PARTS, "rig": "paper"})
     layout = drop(cell.scene, (PARTS,), seed=1, limits=DropLimits())
     with open_renderer("mitsuba") as renderer:
@@ -71,9 +71,7 @@ def rows() -> Iterator[Figures]:
 
 
 def draw(file: Path, samples: int) -> None:
-    """White light on parts of roughness 0.1, side by side: many paths from the camera alone, and
-    few of both kinds.
-    """
+    """Draw parts of roughness 0.1 twice: with many paths from the camera, and few of both kinds."""
     cell = cell_of({"count": PARTS, "rig": "paper", "resolution": "small"})
     layout = drop(cell.scene, (PARTS,), seed=1, limits=DropLimits())
     metal = Material(base_color=(BASE,) * 3, metallic=1.0, roughness=0.1)
@@ -88,7 +86,7 @@ def draw(file: Path, samples: int) -> None:
 
 
 def fireflies(white: Float[np.ndarray, "h w"], pixels: Bool[np.ndarray, "h w"]) -> float:
-    """Return the share of the light by which fireflies exceed their neighbours' median."""
+    """Return the light of fireflies above their neighbours' median, as a share of all light."""
     median = median_filter(white, WINDOW_PX)
     bright = pixels & (white > FIREFLY * median) & (median > 0)
     return float((white - median)[bright].sum() / white[pixels].sum())

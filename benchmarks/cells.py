@@ -1,4 +1,4 @@
-"""The scenes of the benchmarks, and the renderers that are compared on them."""
+"""Scenes of the benchmarks, and the renderers that are compared on these scenes."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,8 +18,8 @@ from graycast.world.scene import Layout
 
 from .stages import cell_of
 
-# The full well is so deep that the photon noise is at most 2 of 65535 digital numbers, so that
-# the noise of a picture is that of the renderer.
+# The full well is so large that photon noise is at most 2 of 65535 digital numbers. The noise of a
+# picture is therefore the noise of the renderer.
 QUIET_SENSOR = SensorSpec(
     full_well_e=1e9, gain_dn_per_e=6.5e-5, read_noise_e=0.0, dark_current_e_s=0.0, bit_depth=16
 )
@@ -28,7 +28,7 @@ GRAY = CodeSpec(codec="gray", axes=("column",))  # the paper's code, along the b
 PHASE = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
 PHASE_BOTH = replace(PHASE, axes=("column", "row"))  # 24 frames of 1024 x 768
 
-# One bracket in three materials, so that the classes differ in the material alone.
+# One bracket in three materials, so that the classes differ only in material.
 MATERIALS = {
     "diffuse": Material(base_color=(0.5, 0.5, 0.5), specular=0.0),
     "metal": Material(base_color=(0.22, 0.22, 0.225), metallic=1.0, roughness=0.5),
@@ -39,13 +39,13 @@ SMALL_BIN_M = (0.18, 0.13, 0.06)
 
 @contextmanager
 def opened(*patterns_per_render: int) -> Iterator[tuple[Renderer, ...]]:
-    """Open Mitsuba, and Cycles once for each number of patterns per render, on a GPU if present.
+    """Open Mitsuba, and Cycles for each number of patterns per render, on a GPU if there is one.
 
     Raises:
         DeviceError: Cycles is not installed.
     """
     with ExitStack() as stack:
-        # Cycles opens first, so that the error comes at once if it is missing.
+        # Cycles is opened first, so that the error comes at once if Cycles is not installed.
         cycles = [
             stack.enter_context(open_renderer("cycles", patterns_per_render=number))
             for number in patterns_per_render
@@ -56,16 +56,16 @@ def opened(*patterns_per_render: int) -> Iterator[tuple[Renderer, ...]]:
 def bracket_cell(
     count: int, code: CodeSpec, size_px: tuple[int, int], *, rig: str = "like-phoxi-m"
 ) -> Cell:
-    """Return a cell of the paper's metal brackets in front of a rig; `size_px` as in `cropped`.
+    """Return a cell of the paper's metal brackets in front of a rig with a cropped camera.
 
-    'like-phoxi-m' has light of one wavelength, so Cycles may render three patterns at once; 'paper'
+    'like-phoxi-m' has light of one wavelength, so Cycles may render three patterns at once. 'paper'
     has white light.
     """
     return _before(rig, cell_of({"count": count}), code, size_px)
 
 
 def materials_cell(size_px: tuple[int, int]) -> Cell:
-    """Return a cell of brackets of three materials in a small box, PhoXi M, phase code."""
+    """Return a cell: brackets of three materials in a small box, PhoXi M and phase code."""
     cell = cell_of({"bin": {"inner_m": SMALL_BIN_M}})
     bracket = cell.scene.parts[0]
     parts = tuple(replace(bracket, name=n, material=m) for n, m in MATERIALS.items())
@@ -80,7 +80,7 @@ def dropped(cell: Cell, each: int, *, seed: int) -> Layout:
 
 
 def cropped(camera: Optics, size_px: tuple[int, int]) -> Optics:
-    """Return a camera that has only the central pixels of another, with the same rays.
+    """Return a camera that has only the central pixels of another camera, with the same rays.
 
     Raises:
         ValueError: the crop is larger than the picture.
@@ -103,7 +103,7 @@ def cropped(camera: Optics, size_px: tuple[int, int]) -> Optics:
 
 
 def exposed_alike(scanner: Scanner, radiance: Radiance) -> Scanner:
-    """Return the scanner with its automatic exposure for these pictures as a fixed exposure."""
+    """Return the scanner with a fixed exposure, equal to its automatic exposure for this light."""
     rule = scanner.exposure
     time_s = auto_exposure_s(
         radiance.white + radiance.ambient,
@@ -115,7 +115,7 @@ def exposed_alike(scanner: Scanner, radiance: Radiance) -> Scanner:
 
 
 def _before(name: str, cell: Cell, code: CodeSpec, size_px: tuple[int, int]) -> Cell:
-    """Return a cell with sharp lenses, which both back ends support, and a sensor without noise."""
+    """Return the cell with a rig of sharp lenses, a code, and a sensor without noise."""
     rig = preset_rig(name, "low")
     rig = replace(rig, camera=cropped(rig.camera, size_px))
     decode = DecodeSpec(max_epipolar_px=0.0)

@@ -1,7 +1,7 @@
-"""The time of every stage in the working tree against another commit, in one run.
+"""Comparison of the time of every stage between the working tree and another commit.
 
-Times of two days cannot be compared: the load of a shared machine may change them by more than a
-commit does. So both trees run in turn, and the result is the ratio within a round.
+Times of different days cannot be compared, because the load of a shared machine may change them by
+more than a commit does. So both trees run in turn, and the result is the ratio within a round.
 """
 
 import importlib.metadata
@@ -22,14 +22,14 @@ from typing import Any
 
 from graycast.base.tables import markdown_table
 
-SLOWER = 1.05  # above this ratio a stage is marked
+SLOWER = 1.05  # A stage with a larger ratio is marked.
 LEAST_ROUNDS = 2
 SIDES = ("here", "there")
 Record = dict[str, Any]  # one line of output of `stages.py`, with its `side` and `round`
 
 
 class CompareError(Exception):
-    """The comparison cannot be made; the text ends with the remedy."""
+    """Error if the comparison cannot be made; the text ends with the remedy."""
 
 
 def compare(
@@ -41,7 +41,7 @@ def compare(
     path: Path | None,
     on_progress: Callable[[str], None],
 ) -> list[Record]:
-    """Yield the figures of both trees, round by round, until the time is used.
+    """Run both trees round by round until the time is used; return their records.
 
     Raises:
         CompareError: there is no such commit, or it needs packages that are not installed.
@@ -67,7 +67,7 @@ def compare(
 
 
 def in_turn(run: Callable[[str, str], list[Record]], end_s: float) -> Iterator[Record]:
-    """Run as many rounds as fit, in the order A B, B A, A B ..."""
+    """Run rounds until `end_s`, at least two, in the order A B, B A, A B ..."""
     number, longest_s = 0, 0.0
     while number < LEAST_ROUNDS or time.monotonic() + longest_s < end_s:
         start_s = time.monotonic()
@@ -90,7 +90,7 @@ def commit_of(root: Path, rev: str) -> str:
 
 @contextmanager
 def worktree(root: Path, rev: str) -> Iterator[Path]:
-    """Check a commit out in a temporary folder, which is removed even after an error."""
+    """Check out a commit in a temporary folder, which is removed even after an error."""
     commit = commit_of(root, rev)
     with TemporaryDirectory(prefix="graycast-other-") as folder:
         git(root, "worktree", "add", "--detach", folder, commit)
@@ -103,14 +103,14 @@ def worktree(root: Path, rev: str) -> Iterator[Path]:
 def child(
     stages: Sequence[str], number: str, work: str, side: str, python_path: str
 ) -> Iterator[Record]:
-    """Yield the lines of one process; if it dies, yield a line with the reason for every stage.
+    """Yield the records of one process; if it fails, yield a record with the error for each stage.
 
-    A tree with its own `stages.py` runs that file, since its modules may have other names.
+    A tree that has a `stages.py` runs its own file, because its modules may have other names.
     """
     own_stages = Path(python_path.split(os.pathsep)[0]).parent / "benchmarks" / "stages.py"
     program = own_stages if own_stages.is_file() else Path(__file__).with_name("stages.py")
     command = [sys.executable, "-P", str(program), ",".join(stages), number, work]
-    # Each side has its own hulls: the cache's key might not distinguish two commits.
+    # Each side has its own cache of hulls, because the key of a hull may not distinguish commits.
     own = {"PYTHONPATH": python_path, "XDG_CACHE_HOME": f"{work}/{side}", "TMPDIR": work}
     with TemporaryFile("w+") as log:
         process = subprocess.Popen(
@@ -130,10 +130,10 @@ def child(
 
 
 def refuse_missing(records: Sequence[Record], project: Path, path: list[str]) -> None:
-    """Raise an error that asks the user to install packages that only the other commit needs."""
+    """Raise a CompareError if the other commit needs packages that are not installed."""
     missing = {name for r in records if (name := r.get("missing"))}
     if all(name.startswith("graycast") for name in missing):
-        return  # the commit has the module under another name and cannot run the stage
+        return  # The commit has this module under another name and cannot run the stage.
     distributions = importlib.metadata.distributions(path=[*path, *sys.path])
     installed = {_package(each.name) for each in distributions}
     needs = tomllib.loads(project.read_text())["project"]["dependencies"]
@@ -165,7 +165,7 @@ def _row(records: Sequence[Record], stage: str, row: str) -> Record:
     ratios = [here[k] / there[k] for k in here if k in there]
     figures: Record = {"here": median(here.values()) if here else None}
     figures |= {"there": median(there.values()) if there else None}
-    # An error in the row named like the stage arose before any of the stage's rows was known.
+    # A row with the name of the stage has errors that occurred before the stage's rows were known.
     of = [r for r in records if "error" in r and r["row"] in (row, *([] if ratios else [stage]))]
     reasons = dict.fromkeys(f"{r['side']}: {r['error']}" for r in of)
     if ratios:

@@ -1,4 +1,4 @@
-"""Convergence of decoded depth to a reference with the number of samples of a renderer."""
+"""Convergence of decoded depth to a reference as the number of samples increases."""
 
 import math
 import time
@@ -24,7 +24,7 @@ REFERENCE_SEED = 10_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """A scene, one renderer's converged pictures of the scene, and the depth decoded from them."""
+    """A scene, converged pictures of it by one renderer, and the scan decoded from the pictures."""
 
     cell: Cell
     layout: Layout
@@ -35,7 +35,7 @@ class Reference:
 
 
 def converge(cell: Cell, layout: Layout, renderer: Renderer, samples: int, show: Show) -> Reference:
-    """Render the reference of a renderer: pictures at many samples, without denoising."""
+    """Render and decode the reference of a renderer, with many samples and no denoiser."""
     show(f"{renderer.name}: reference of {samples} samples")
     radiance, _ = _render(cell, layout, renderer, samples, "none", REFERENCE_SEED)
     scanner = exposed_alike(cell.scanner, radiance)
@@ -59,7 +59,7 @@ def error_row(
     *,
     sensors: Sequence[SensorSpec] = (),
 ) -> tuple[Figures, list[Figures]]:
-    """Render once; the error without sensor noise, and with the noise of each sensor given."""
+    """Render once; return the error without sensor noise, and with the noise of each sensor."""
     show(f"{renderer.name}: {samples} samples, denoise {denoise}")
     radiance, seconds = _render(
         reference.cell, reference.layout, renderer, samples, denoise, samples
@@ -89,7 +89,7 @@ def samples_for(rows: Sequence[Figures], measure: str, target: float) -> tuple[f
     """Interpolate by a power law the number of samples at which rows have the error `target`.
 
     Returns:
-        The samples, and '<' or '>' if the target is outside the tried range, else ''.
+        The number of samples, and '<' or '>' if it is outside the tried range, else ''.
     """
     rows = sorted(rows, key=lambda row: row["samples"])
     if rows[0][measure] <= target:

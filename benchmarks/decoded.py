@@ -1,4 +1,4 @@
-"""Errors of decoded depth against a converged reference, and of the edges of stripes."""
+"""Errors of decoded depth, and shifts of stripe edges, relative to a converged reference."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,24 +8,24 @@ from graycast.camera.scanner import Scan
 from graycast.rendering import Radiance
 from graycast.rig.pattern import Code
 
-WRONG_COLUMNS = 1.0  # a column with a larger error is wrong
-WIDE_PX = 8  # stripes of at least this many projector pixels have edges that can be located
-STEP_M = 3e-3  # neighbours with a larger step in depth belong to two surfaces
+WRONG_COLUMNS = 1.0  # A column with a larger error is wrong.
+WIDE_PX = 8  # Edges are measured on stripes of at least this many projector pixels.
+STEP_M = 3e-3  # Neighbours with a larger step in depth belong to two surfaces.
 LEAST_CONTRAST = 0.1  # white minus black, as a share of the 99th percentile
 
 
 def valid(scan: Scan) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels with depth."""
+    """Return a mask of the pixels with depth."""
     return scan.depth.reason == Reason.DECODED
 
 
 def decoding_error(result: Scan, reference: Scan) -> dict[str, float]:
-    """Return the error of a scan; shares are relative to the reference's pixels with depth.
+    """Return the errors of a scan; shares are relative to the reference's pixels with depth.
 
-    `wrong_share`: both have depth, the columns differ by more than one. `hole_share`: the depth is
-    lost. `extra_share`: there is depth where the reference has none. `bad_share` is their sum.
-    The root mean square and the median of depth include all pixels with both depths;
-    `depth_rms_right_mm` excludes the wrong ones.
+    In `wrong_share` of the pixels, both have depth but the columns differ by more than one. In
+    `hole_share`, only the reference has depth, and in `extra_share`, only the scan. `bad_share` is
+    the sum of these. The RMS and the median of depth include all pixels where both have depth;
+    `depth_rms_right_mm` excludes the wrong pixels.
     """
     known, expected = valid(result), valid(reference)
     both = known & expected
@@ -52,10 +52,10 @@ def edge_shifts(
 ) -> dict[str, float]:
     """Return the shifts of the edges of wide stripes against the reference, along camera rows.
 
-    At an edge, a bit's picture crosses the middle between white and black, linear between two
-    pixels. `edge_bias_px` is the mean shift towards the right, `edge_growth_px` the mean by which
-    lit stripes grow at an edge, `edge_rms_px` the scatter [camera px]; edges that are not found
-    within a pixel of their place are `edge_lost_share`.
+    At an edge, the picture of a bit crosses the middle between white and black; its position is
+    interpolated linearly between two pixels. In camera pixels, `edge_bias_px` is the mean shift to
+    the right, `edge_growth_px` the mean growth of lit stripes at an edge, and `edge_rms_px` the
+    RMS shift. `edge_lost_share` is the share of edges that are not found within a pixel.
     """
     along, outward, lost, count = [], [], 0, 0
     for number in _wide_bits(code):
@@ -80,22 +80,22 @@ def edge_shifts(
 
 
 def fine_contrast(radiance: Radiance, code: Code, on_surface: Bool[np.ndarray, "h w"]) -> float:
-    """Return the mean contrast (0 to 1) of the finest bit, whose stripes are two pixels wide."""
+    """Return the mean contrast (0 to 1) of the finest bit; its stripes are two pixels wide."""
     finest = min((f.bit, k) for k, f in enumerate(code.frames) if f.kind == "gray")[1]
     level = _levels(radiance, code, finest)[on_surface]
     return float(np.nanmean(np.minimum(np.abs(2 * level), 1.0)))
 
 
 def one_surface(reference: Scan) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels of the reference whose right neighbour has nearly the same depth."""
+    """Return a mask of the reference's pixels whose right neighbour is on the same surface."""
     depth_m = reference.depth.depth_m
     near = np.zeros(depth_m.shape, dtype=bool)
-    near[:, :-1] = np.abs(np.diff(depth_m, axis=1)) < STEP_M  # a comparison with NaN is false
+    near[:, :-1] = np.abs(np.diff(depth_m, axis=1)) < STEP_M  # A comparison with NaN is false.
     return near
 
 
 def _wide_bits(code: Code) -> list[int]:
-    """Return the frames of wide stripes; those of the finest Gray bit are two values wide."""
+    """Return the frames with wide stripes; stripes of the finest Gray bit are two pixels wide."""
     return [
         k
         for k, frame in enumerate(code.frames)
@@ -104,7 +104,7 @@ def _wide_bits(code: Code) -> list[int]:
 
 
 def _levels(radiance: Radiance, code: Code, number: int) -> Float[np.ndarray, "h w"]:
-    """Scale a bit's picture to -1/2 (black) to 1/2 (white); NaN where both are nearly equal."""
+    """Scale the picture of a bit to -1/2 (black) to 1/2 (white); NaN without enough contrast."""
     kinds = [frame.kind for frame in code.frames]
     white, black = (radiance.pattern[kinds.index(kind)] for kind in ("white", "black"))
     range_ = white - black
@@ -116,7 +116,7 @@ def _levels(radiance: Radiance, code: Code, number: int) -> Float[np.ndarray, "h
 def _edges(
     level: Float[np.ndarray, "h w"], on_surface: Bool[np.ndarray, "h w"], *, rising: bool
 ) -> Float[np.ndarray, "h w"]:
-    """Return the column of the crossing between each pixel and its right neighbour, or NaN."""
+    """Return the column at which an edge is between a pixel and its right neighbour, or NaN."""
     left, right = level[:, :-1], level[:, 1:]
     crosses = (left < 0) & (right >= 0) if rising else (left >= 0) & (right < 0)
     place = np.full(level.shape, np.nan)
@@ -129,7 +129,7 @@ def _edges(
 def _nearest(
     edges: Float[np.ndarray, "h w"], wanted: Float[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w"]:
-    """Return the shift to the nearest edge within a pixel of each wanted place, or NaN."""
+    """Return the shift from each wanted edge to the nearest edge within a pixel, or NaN."""
     padded = np.pad(edges, ((0, 0), (1, 1)), constant_values=np.nan)
     w = edges.shape[1]
     shifts = np.stack([padded[:, i : i + w] - wanted for i in range(3)])

@@ -1,26 +1,164 @@
-"""Shared parts (temporary)."""
+"""Pictures of one rendering for many scanners, and figures of a decoder against true depth."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
+
 import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
 from graycast.camera.decode import DecodeSpec, FilterSpec
 from graycast.camera.scanner import Scanner, take
-from .materials import _keys, _patterns
+from graycast.camera.sensor import Capture
+from graycast.cell.resolve import patterns_of
+from graycast.dataset.raw import raw_files
+from graycast.dataset.sample import Raw
+from graycast.rendering.radiance import Radiance
+
+WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
+EDGES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)
+MOST_WRONG = 0.01
 
 
 def bare(scanner: Scanner) -> Scanner:
+    """Return the scanner without any guard against wrong depths, and with the same faults."""
     decode = DecodeSpec(
         min_contrast=0.002, min_sigmas=0.0, doubt=0.0, min_visibility=0.0, max_epipolar_px=0.0
     )
     return replace(scanner, decode=decode, filters=FilterSpec())
 
 
-def shared_patterns(scanners: Sequence[Scanner]):
-    return _patterns({str(k): s for k, s in enumerate(scanners)})
+def keys_of(scanner: Scanner) -> list[tuple[Any, ...]]:
+    """Return a key for each of a scanner's pictures; equal keys mean equal pictures."""
+    code = scanner.light_code()
+    return [(frame, code.offset_px, code.stride_px) for frame in code.frames]
 
 
-def pictures_of(scanner, radiance, keys, *, seed):
-    own = [keys.index(key) for key in _keys(scanner)]
+def shared_patterns(
+    scanners: Sequence[Scanner],
+) -> tuple[list[tuple[Any, ...]], UInt8[np.ndarray, "n h w"]]:
+    """Return every different picture of all scanners once, with its key."""
+    pictures: dict[tuple[Any, ...], np.ndarray] = {}
+    for scanner in scanners:
+        pictures |= dict(zip(keys_of(scanner), patterns_of(scanner), strict=True))
+    return list(pictures), np.stack(list(pictures.values()))
+
+
+def pictures_of(
+    scanner: Scanner, radiance: Radiance, keys: Sequence[tuple[Any, ...]], *, seed: int
+) -> tuple[Capture, Radiance]:
+    """Take the scanner's own pictures out of the radiance of the shared patterns.
+
+    Returns:
+        The pictures, and the radiance of the scanner's own patterns.
+    """
+    own = [keys.index(key) for key in keys_of(scanner)]
     light = replace(radiance, pattern=radiance.pattern[own])
     return take(scanner, light, seed=seed), light
+
+
+def is_wrong(
+    depth_m: Float[np.ndarray, " n"],
+    true_m: Float[np.ndarray, " n"],
+    sigma_m: Float[np.ndarray, " n"] | None = None,
+) -> Bool[np.ndarray, " n"]:
+    """Return which depths are off by more than 1 mm and, if sigma is given, 5 sigmas."""
+    off_m = np.abs(depth_m - true_m)
+    wrong = off_m > WRONG_M
+    return wrong if sigma_m is None else wrong & (off_m > WRONG_SIGMAS * sigma_m)
+
+
+def roc_area(p_wrong: Float[np.ndarray, " n"], wrong: Bool[np.ndarray, " n"]) -> float:
+    """Return the area under the ROC: how often a wrong depth has the higher `p_wrong`.
+
+    Equal probabilities count half. The area is NaN if all depths are right or all are wrong.
+    """
+    _, place, count = np.unique(p_wrong, return_inverse=True, return_counts=True)
+    rank = (np.cumsum(count) - (count - 1) / 2)[place]
+    bad, good = int(wrong.sum()), int((~wrong).sum())
+    if not bad or not good:
+        return float("nan")
+    return float((rank[wrong].sum() - bad * (bad + 1) / 2) / (bad * good))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bin:
+    """Depths of similar `p_wrong`: the mean probability, the share that is wrong, the number."""
+
+    mean: float
+    wrong: float
+    count: int
+
+
+def reliability(p_wrong: Float[np.ndarray, " n"], wrong: Bool[np.ndarray, " n"]) -> list[Bin]:
+    """Return the bins between EDGES that have depths, from the lowest probability upwards."""
+    number = np.digitize(p_wrong, EDGES)
+    inside = [number == k for k in np.unique(number)]
+    return [
+        Bin(mean=float(p_wrong[i].mean()), wrong=float(wrong[i].mean()), count=int(i.sum()))
+        for i in inside
+    ]
+
+
+def calibration_error(bins: Sequence[Bin]) -> float:
+    """Return the mean difference of stated and observed share, weighted by number; NaN if empty."""
+    total = sum(one.count for one in bins)
+    off = sum(one.count * abs(one.mean - one.wrong) for one in bins)
+    return off / total if total else float("nan")
+
+
+def decoded_at_limit(
+    p_wrong: Float[np.ndarray, " n"], wrong: Bool[np.ndarray, " n"], pixels: int
+) -> float:
+    """Return the share of all pixels below the largest limit with at most 1 % wrong depths."""
+    order = np.argsort(p_wrong, kind="stable")
+    p, share = p_wrong[order], np.cumsum(wrong[order]) / np.arange(1, len(order) + 1)
+    last = np.append(p[1:] != p[:-1], True)[: len(p)]  # A limit includes all equal probabilities.
+    ends = np.nonzero(last & (share <= MOST_WRONG))[0]
+    return float(ends[-1] + 1) / max(pixels, 1) if len(ends) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worth:
+    """Figures of one depth map; `wrong` is a share of the decoded pixels of the parts."""
+
+    decoded: float
+    wrong: float
+    roc_area: float | None = None
+    calibration_error: float | None = None
+    decoded_at_limit: float | None = None
+
+
+def worth(
+    depth_m: Float[np.ndarray, "h w"],
+    true_m: Float[np.ndarray, "h w"],
+    parts: Bool[np.ndarray, "h w"],
+    *,
+    sigma_m: Float[np.ndarray, "h w"] | None = None,
+    p_wrong: Float[np.ndarray, "h w"] | None = None,
+) -> Worth:
+    """Compare the depth of the parts' pixels with the true depth."""
+    known = parts & np.isfinite(depth_m)
+    sigma = None if sigma_m is None else sigma_m[known]
+    wrong = is_wrong(depth_m[known], true_m[known], sigma)
+    pixels = int(parts.sum())
+    share = float(wrong.mean()) if wrong.size else 0.0
+    decoded = int(known.sum()) / max(pixels, 1)
+    if p_wrong is None:
+        return Worth(decoded=decoded, wrong=share)
+    p = p_wrong[known]
+    return Worth(
+        decoded=decoded,
+        wrong=share,
+        roc_area=roc_area(p, wrong),
+        calibration_error=calibration_error(reliability(p, wrong)),
+        decoded_at_limit=decoded_at_limit(p, wrong, pixels),
+    )
+
+
+def write_stack(folder: Path, scanner: Scanner, capture: Capture) -> None:
+    """Write pictures, stack.yaml and rig.yaml as a dataset with `store: frames` does."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in raw_files(Raw(scanner=scanner, capture=capture)):
+        (folder / Path(name).name).write_bytes(content)

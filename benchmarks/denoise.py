@@ -1,10 +1,10 @@
-"""The effect of denoisers on decoded depth, for docs/measurements/renderers.md.
+"""Effect of denoisers on decoded depth, for docs/measurements/renderers.md.
 
-Frames of Cycles have independent noise, as in K. Bai et al. 2024; those of Mitsuba's one pass share
-one noise. Each renderer is compared with its own converged pictures, so that differences between
-the renderers have no effect; the sensor is free of noise except in the table that states it. Rig
-and code are the paper's: white light, and Gray code along the baseline. The last table is for the
-same rig in the light of one band, where Cycles' denoisers get pictures of pure red.
+Frames of Cycles have independent noise, as in K. Bai et al. 2024; frames of Mitsuba's one pass have
+common noise. Each renderer is compared with its own converged pictures, so that differences between
+the renderers have no effect. The sensor has no noise except in the table that states it. Rig
+and code are the paper's: white light, and Gray code along the baseline. The last table is for a
+rig with light of one band, where the denoisers of Cycles get pictures of pure red.
 """
 
 from graycast.camera.sensor import SensorSpec
@@ -19,10 +19,10 @@ from .stages import PARTS
 
 SIZE_PX = (206, 154)
 FEWEST = 4
-REFERENCE_FACTOR = 4  # the reference has this many times the largest number of samples
-ONE_BAND_FACTOR = 16  # the same for the table of one band
-WITH_SENSOR = 16  # the sensor's noise is added at this number of samples, near the paper's 20
-BAD_SHARE_LIMIT = 0.01  # the recommended number of samples keeps this limit
+REFERENCE_FACTOR = 4  # ratio of the reference's samples to the largest number of samples
+ONE_BAND_FACTOR = 16  # the same ratio for the table of one band
+WITH_SENSOR = 16  # number of samples at which sensor noise is added, near the paper's 20
+BAD_SHARE_LIMIT = 0.01  # largest share of bad pixels at the recommended number of samples
 
 
 def measure(*, samples: int, show: Show) -> Figures:
@@ -43,8 +43,8 @@ def study(
     """Measure errors of decoded depth for several numbers of samples and denoisers.
 
     Args:
-        converging: Cycles with three patterns per render, for its reference in one band.
-        count: brackets in the box.
+        converging: Cycles with three patterns per render, for the reference in one band.
+        count: number of brackets in the box.
         most: the largest number of samples; the reference has `REFERENCE_FACTOR` times as many.
     """
     cell = bracket_cell(count, GRAY, size_px, rig="paper")
@@ -80,7 +80,7 @@ def sample_counts(most: int) -> tuple[int, ...]:
     """Return 4, 8, 16 .. `most`.
 
     Raises:
-        ValueError: `most` is less than the fewest.
+        ValueError: `most` is less than `FEWEST`.
     """
     if most < FEWEST:
         raise ValueError(
@@ -93,16 +93,16 @@ def sample_counts(most: int) -> tuple[int, ...]:
 
 
 def denoisers(renderer: Renderer) -> tuple[DenoiserName, ...]:
-    """Return the denoisers that run on a renderer's device."""
+    """Return the denoisers that run on the device of a renderer."""
     gpu = renderer.name == "cycles" and renderer.device != "cpu"
     return ("none", "oidn", "optix") if gpu else ("none", "oidn")
 
 
 def recommended(rows: list[Figures], renderer: str) -> Figures:
-    """Return the denoiser and the number of samples that the rows of a renderer recommend.
+    """Return the best denoiser for a renderer, and the number of samples that it needs.
 
-    The denoiser has the smallest share of bad pixels at the paper's samples; the samples are the
-    fewest from which on it keeps the limit, or None if it never does.
+    The denoiser has the smallest share of bad pixels near the paper's number of samples. It needs
+    the smallest number of samples from which on the share is within the limit, or None.
     """
     own = [row for row in rows if row["renderer"] == renderer]
     near = min({row["samples"] for row in own}, key=lambda n: abs(n - WITH_SENSOR))

@@ -1,4 +1,4 @@
-"""The times of docs/measurements/detection.md: reading, a detector and its network."""
+"""Times of reading pictures, of a detector and of its network: docs/measurements/detection.md."""
 
 import tempfile
 import time
@@ -17,19 +17,19 @@ from graycast.learn.detect.training_pictures import TrainingPictures, collate
 
 from .figures import Figures, Show, in_turn
 
-ROUNDS = 7  # timed in turn, A B A B ...
+ROUNDS = 7  # Both kinds of steps are timed in turn, A B A B ...
 BATCH = 4
 
 
 def measure(*, runs: Sequence[Path], dataset: Path, show: Show) -> Figures:
     """Time each trained detector on the first pictures of a dataset; return a row for each.
 
-    `read_over_held` is the time of a training step whose pictures are read and augmented, over
-    that of the same step on pictures held in memory. `detect_ms` is the time from
-    arrays of files to detections in the picture's pixels, `bare_ms` that of the network alone.
+    `read_over_held` is the ratio of the time of a training step whose pictures are read and
+    augmented to the time of the same step with pictures in memory. `detect_ms` is the time from
+    arrays to detections in pixels of the picture, and `bare_ms` the time of the network alone.
 
     Raises:
-        GraycastError: a run is no training, or the dataset has too few pictures.
+        GraycastError: a folder has no trained detector, or the dataset has too few pictures.
     """
     with without_denormals():
         return _measured(runs, dataset, show)

@@ -1,4 +1,4 @@
-"""The overhead of docs/how-to/many-scenes.md: a plain loop, worker processes, and Ray."""
+"""Overhead of worker processes and Ray over a plain loop, for docs/how-to/many-scenes.md."""
 
 import os
 import time
@@ -29,18 +29,18 @@ ROUNDS = 3
 
 @dataclass
 class _Contender:
-    """One way of making scenes, ready to run, with the times of its rounds."""
+    """A function that makes scenes with one engine, and the times of its rounds."""
 
     make: Callable[[list[int]], None]
     seconds: list[float] = field(default_factory=list)
 
 
 def measure(*, count: int = PARTS, scenes: int = SCENES, show: Show) -> Figures:
-    """Time the same scenes with each engine in turn, one render thread per worker, when warm.
+    """Time the same scenes with each engine in turn, after a warm-up, with one thread per worker.
 
-    Files are made, but not written. `overhead` is the time divided by that of the bare loop, minus
-    one; `speedup` is that of two workers over one. Both are medians of ratios within rounds, so
-    that slow minutes of the machine affect both sides.
+    Files are made but not written. `overhead` is the time relative to the bare loop, minus one.
+    `speedup` is the time of one worker divided by that of two. Both are medians of ratios within
+    rounds, so that slow periods of the machine affect both sides.
 
     Raises:
         DropError, GraycastError: a scene could not be made.
@@ -97,7 +97,7 @@ class _Narrowed:
         return self._pool.gather()
 
     def close(self) -> None:
-        pass  # the owner of the pool closes it
+        pass  # `measure` closes the pool, which several contenders share.
 
 
 def _all_by(pool: Pool) -> Callable[[list[int]], None]:

@@ -1,4 +1,4 @@
-"""The figures of a benchmark: how two jobs are timed, and the text form of plain numbers."""
+"""Timing of two jobs in turn, and text output of a benchmark's results."""
 
 import time
 from collections.abc import Callable
@@ -6,10 +6,10 @@ from statistics import median
 from typing import Any
 
 Figures = dict[str, Any]
-Show = Callable[[str], None]  # shows the progress
+Show = Callable[[str], None]  # function that shows a line of progress
 
-LONGEST_LIST = 20  # most numbers in a line; --json has the rest
-PAIRS = 5  # timed in turn, A B A B ...
+LONGEST_LIST = 20  # Longer lists of numbers are only in the file of --json.
+PAIRS = 5  # number of pairs that are timed in turn, A B A B ...
 
 
 def in_turn(
@@ -17,8 +17,8 @@ def in_turn(
 ) -> tuple[float, float, float]:
     """Return the median seconds of two jobs that run in turn, after one warm-up run of each.
 
-    The third value is the median of the pairs' ratios: other work of the machine slows both jobs of
-    a pair, and a ratio of medians compares runs of different pairs.
+    The third value is the median of the ratios of pairs, because other load of the machine slows
+    both jobs of a pair. A ratio of medians would compare runs of different pairs.
     """
     first(), second()
     seconds: tuple[list[float], list[float]] = ([], [])
@@ -32,7 +32,7 @@ def in_turn(
 
 
 def describe(figures: Figures) -> str:
-    """Return the figures as text, one per line; a list of similar figures is a table."""
+    """Return the results as text, one per line; a list of dictionaries becomes a table."""
     lines = []
     for name, value in figures.items():
         if isinstance(value, dict) and all(isinstance(one, list) for one in value.values()):

@@ -1,4 +1,4 @@
-"""The times of docs/measurements/live.md: from a change of a setting to its picture."""
+"""Response times of `graycast live` to a change of a setting, for docs/measurements/live.md."""
 
 import math
 import time
@@ -13,21 +13,21 @@ from graycast.show.live import Message, Session
 
 from .figures import Figures, Show
 
-RESOLUTION = "small"  # 516 x 386, for which the aims are stated
+RESOLUTION = "small"  # 516 x 386 pixels, for which the page states target times
 WAIT_S = 300.0
 
 
 def measure(*, config: Path, rounds: int, show: Show) -> Figures:
-    """Return the median and 95th percentile of the wait for a change's first picture [ms].
+    """Return the waits [ms] for the first and the finished picture after a change of a setting.
 
     Each round changes a threshold, the exposure, the ambient light, the tilt of the rig and the
-    seed; the next change waits until the picture of the last one is finished.
+    seed. The next change is made when the picture of the previous change is finished.
 
     Args:
-        config: a configuration with a preset's rig, which is shown at 516 x 386.
+        config: a configuration with the rig of a preset, which is shown at 516 x 386 pixels.
 
     Raises:
-        GraycastError: the cell cannot be shown; or the process that shows it has ended.
+        GraycastError: the cell cannot be shown, or the process that shows it has ended.
     """
     heard: SimpleQueue[Message] = SimpleQueue()
     seed = load_config(config).seed

@@ -1,8 +1,7 @@
-"""Depth on matt, plastic, dark and metal parts: docs/measurements/materials.md.
+"""Depth on matt, plastic, dark and metal parts, for docs/measurements/materials.md.
 
-A heap of brackets is rendered once per rig and material, under the patterns of every code that is
-compared. Each code's pictures are taken and measured, and the depth of the parts' pixels is
-compared with the true depth.
+A heap of brackets is rendered once per rig and material, with the patterns of all compared codes.
+For each code, a scan is simulated, and its depth on parts is compared with the true depth.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,16 +14,16 @@ from jaxtyping import Bool, Float
 
 from graycast.base.tables import markdown_table
 from graycast.camera.decode import DecodeSpec, DepthMap, FilterSpec
-from graycast.camera.scanner import Scanner, measure, take
-from graycast.cell.resolve import patterns_of
+from graycast.camera.scanner import Scanner, measure
 from graycast.rendering import Quality, Renderer, open_renderer
 from graycast.rig.pattern import CODECS, CodeSpec
 from graycast.world.drop import DropLimits, drop
 from graycast.world.parts import Material
 
+from .decoders import pictures_of, shared_patterns
 from .stages import cell_of
 
-PARTS, SEED, SAMPLES = 20, 2, 64  # the settings were chosen with the heap of seed 1
+PARTS, SEED, SAMPLES = 20, 2, 64  # Seed 1 was used to choose the settings of scanners.
 SCANNERS = ("like-phoxi-s", "like-phoxi-m", "like-phoxi-l", "paper")
 PRESET, BARE = "preset", "without guards"
 EXPOSURES = {"one exposure": (1.0,), "three exposures": (0.25, 1.0, 4.0)}
@@ -78,10 +77,10 @@ the most, {worst_wrong:.1f} %.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Worth:
-    """Shares of the parts' pixels in one depth map; `wrong` is a share of the decoded pixels.
+    """Shares of the pixels of a place in one depth map; `wrong` is a share of the decoded pixels.
 
-    `error_over_sigma` is the median of |error| / sigma over that of a normal law: 1 where sigma is
-    true.
+    `error_over_sigma` is the median of |error| / sigma, divided by the median of a normal
+    distribution. It is 1 if sigma is right.
     """
 
     scanner: str
@@ -157,16 +156,14 @@ def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:
     cell = cell_of({"count": PARTS, "rig": name, "resolution": resolution})
     layout = drop(cell.scene, (PARTS,), seed=SEED, limits=DropLimits())
     scanners = _scanners(name, cell.scanner)
-    keys, patterns = _patterns(scanners)
+    keys, patterns = shared_patterns([*scanners.values()])
     for material, settings in MATERIALS.items():
         parts = (replace(cell.scene.parts[0], material=Material(**settings)),)
         scene = replace(cell.scene, parts=parts)
         quality = Quality(samples=SAMPLES)
         rendering = renderer.render(scene, layout, patterns, quality=quality, seed=SEED)
         for code, scanner in scanners.items():
-            own = [keys.index(key) for key in _keys(scanner)]
-            light = replace(rendering.radiance, pattern=rendering.radiance.pattern[own])
-            capture = take(scanner, light, seed=SEED)
+            capture, light = pictures_of(scanner, rendering.radiance, keys, seed=SEED)
             depth = measure(scanner, capture, path_noise=light.path_noise)[1]
             own_pixels = rendering.truth.instance >= 0
             for place, pixels in ((PARTS_PLACE, own_pixels), (AROUND_PLACE, around(own_pixels))):
@@ -175,14 +172,14 @@ def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:
 
 
 def around(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels near a part that are not part of any."""
+    """Return a mask of the pixels near parts that do not show a part."""
     square = np.ones((2 * AROUND_PX + 1,) * 2, np.uint8)
     near = np.asarray(cv2.dilate(parts.astype(np.uint8), square)) > 0
     return near & ~parts
 
 
 def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
-    """Return the preset, the preset without its guards, and a scanner for each other code."""
+    """Return the preset and variants of it: without guards, other exposures, and other codes."""
     scanners = {PRESET: scanner}
     if name != "paper":
         scanners[BARE] = replace(
@@ -201,24 +198,10 @@ def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
     return scanners
 
 
-def _keys(scanner: Scanner) -> list[tuple[Any, ...]]:
-    """Return a key for each of a scanner's pictures; equal keys mean equal pictures."""
-    code = scanner.light_code()
-    return [(frame, code.offset_px, code.stride_px) for frame in code.frames]
-
-
-def _patterns(scanners: Mapping[str, Scanner]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
-    """Return every different picture of all scanners once, with its key."""
-    pictures: dict[tuple[Any, ...], np.ndarray] = {}
-    for scanner in scanners.values():
-        pictures |= dict(zip(_keys(scanner), patterns_of(scanner), strict=True))
-    return list(pictures), np.stack(list(pictures.values()))
-
-
 def worth(
     depth: DepthMap, true_m: Float[np.ndarray, "h w"], pixels: Bool[np.ndarray, "h w"]
 ) -> dict[str, float]:
-    """Return the figures of `Worth`."""
+    """Return the numeric fields of `Worth` for the given pixels of a depth map."""
     known = pixels & np.isfinite(depth.depth_m)
     off_m, sigma_m = np.abs(depth.depth_m - true_m)[known], depth.sigma_m[known]
     wrong = depth.is_wrong(true_m)[known]

@@ -1,6 +1,6 @@
-"""The page docs/measurements/benchmarks.md, every figure of which is measured again.
+"""Writer of docs/measurements/benchmarks.md, which measures every figure of the page.
 
-Each section measures, and returns its text. A figure that no section measures is not on the page.
+The function of each section makes its measurements and returns its text.
 """
 
 import time
@@ -34,7 +34,7 @@ from .zoo_parts import ZOO, wavy_ring, zoo_part
 
 DROPS, SEEDS = (30, 100, 180, 255), range(1, 6)
 PAPER = ("metal_workpiece_1", "toothpaste")
-SCENES, PAPER_SCENES = 8, 3  # timed after a first run that compiles
+SCENES, PAPER_SCENES = 8, 3  # scenes that are timed after a first scene, which compiles kernels
 DENSE_FACES = (80_000, 330_000, 500_000)
 MOST_HULLS = 8  # rows of the table of hulls
 ROOT = Path(__file__).resolve().parents[1]
@@ -52,9 +52,9 @@ def page(
     """Yield the headings and texts of the page in order; each takes seconds to minutes.
 
     Args:
-        circumstances: date and machine, as in `__main__`.
+        circumstances: date and machine, from `__main__.circumstances`.
         commit: the measured commit.
-        names: names of `SECTIONS`; without any, all of them.
+        names: names in `SECTIONS`; empty means all sections.
     """
     yield "Benchmarks", INTRODUCTION.format(**circumstances, commit=commit).replace("\n", " ")
     for name in names or SECTIONS:
@@ -63,7 +63,7 @@ def page(
 
 
 def rendering() -> str:
-    open_renderer("mitsuba")  # chooses the device before the next imports
+    open_renderer("mitsuba")  # It must choose the device before the next imports.
     from graycast.rendering.mitsuba.renderer import light
     from graycast.rendering.mitsuba.scene import build
     from graycast.rendering.mitsuba.truth import truth
@@ -74,7 +74,7 @@ def rendering() -> str:
     world = build(cell.scene, layout)
     build_s = time.perf_counter() - start
     patterns, quality = cell.patterns(), resolve_quality(cell.config)
-    # A white picture is the cheapest frame, since it is the same for each footprint.
+    # The footprint filter does not change a white picture, so the frame is rendered without it.
     plain = replace(quality, footprint=False)
     stack_s, frame_s, ratio = in_turn(
         lambda: light(world, cell.scene, patterns, quality=quality, seed=1),
@@ -100,7 +100,7 @@ def dropping() -> str:
     cell = cell_of({"bin": {"inner_m": (0.5, 0.4, 0.2)}})
     rows = []
     for count in DROPS:
-        drop(cell.scene, (1,), seed=0, limits=DropLimits())  # reads the hulls, or makes them once
+        drop(cell.scene, (1,), seed=0, limits=DropLimits())  # Later drops find the hulls cached.
         worked, simulated, attempts = [], [], []
         for seed in SEEDS:
             start = time.process_time()
@@ -185,7 +185,7 @@ def decoding() -> str:
 def camera_frames(
     code: Code, rng: np.random.Generator, width_px: int, height_px: int
 ) -> UInt8[np.ndarray, "n h w"]:
-    """Return noisy frames of a camera that sees the whole projector."""
+    """Return noisy 8-bit frames of a camera whose picture is the projector's, resampled."""
     row = np.linspace(0, code.height_px - 1, height_px).astype(int)[:, None]
     column = np.linspace(0, code.width_px - 1, width_px).astype(int)
     frames = np.empty((len(code.frames), height_px, width_px), dtype=np.uint8)
@@ -195,7 +195,7 @@ def camera_frames(
 
 
 def hulls() -> str:
-    """Measure the hulls of each part of the zoo, and of a smooth ring with more and more faces."""
+    """Measure the collision hulls of each part of the zoo, and of smooth rings with many faces."""
     meshes = {name: zoo_part(name).mesh for name in ZOO}
     meshes |= {f"ring of {faces} faces": wavy_ring(faces) for faces in DENSE_FACES}
     rows = []

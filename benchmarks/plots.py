@@ -1,4 +1,4 @@
-"""The plots of docs/measurements/renderers.md from the figures of agree, denoise, renderers."""
+"""Plots for docs/measurements/renderers.md from the results of agree, denoise and renderers."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ SUBS = (1, 2, 5)  # minor ticks in a decade of a logarithmic axis
 
 
 def draw(figures: Figures, path: Path) -> None:
-    """Write a benchmark's plots as one PNG.
+    """Write the plots of a benchmark as one PNG.
 
     Raises:
         GraycastError: the file cannot be written.
@@ -120,7 +120,7 @@ def _curves(ax: Axes, rows: list[Figures], x: str, y: str, *, log: bool = True) 
 
 
 def _number(axis: Axis, locator: Locator) -> None:
-    """Label the main ticks of a logarithmic axis with plain numbers, and no others."""
+    """Label only the major ticks of a logarithmic axis, with plain numbers."""
     axis.set_major_locator(locator)
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())

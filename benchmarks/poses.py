@@ -1,4 +1,4 @@
-"""The table of docs/measurements/pose.md: how often and how fast the poses of parts are found."""
+"""Success rate and time of pose estimation, for the table of docs/measurements/pose.md."""
 
 import math
 import time
@@ -29,23 +29,23 @@ from graycast.world.parts.symmetry import joined, motions, shape_symmetry
 
 from .figures import Figures, Show
 
-MIN_VISIBILITY, SEED = 0.7, 0  # limit and seed for the instances in the sample
-NEAR_DEG, NEAR_MM = 5.0, 3.0
-BOXES = {"box": 1.0, "box +20%": 1.2, "box -20%": 0.8}  # factors of the sides about the middle
+MIN_VISIBILITY, SEED = 0.7, 0  # limit and seed for sampling instances
+NEAR_DEG, NEAR_MM = 5.0, 3.0  # largest errors of a correct pose
+BOXES = {"box": 1.0, "box +20%": 1.2, "box -20%": 0.8}  # scale factors of boxes about their middle
 CASES = (
     *(("scanner", region) for region in ("mask", *BOXES)),
     ("perfect", "mask"),
     ("perfect", "box"),
 )
-DETECTED = (("scanner", "detected mask"), ("scanner", "detected box"))  # with a detector
-LEAST_IOU = 0.5  # between the box of an instance and of its detection
-SHEET, COLUMNS, TILE_PX = 24, 6, 220  # instances on a sheet of overlays
-OUTLINE_M = 0.004  # An outline is drawn if depth changes by more between pixels.
+DETECTED = (("scanner", "detected mask"), ("scanner", "detected box"))  # cases with a detector
+LEAST_IOU = 0.5  # least IoU of the boxes of an instance and its detection
+SHEET, COLUMNS, TILE_PX = 24, 6, 220  # number of instances on a sheet; layout of the sheet
+OUTLINE_M = 0.004  # An outline is drawn where the second difference of depth is larger.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Subject:
-    """The part of one dataset, with its models for the search."""
+    """A dataset with the models and symmetries of its parts."""
 
     name: str
     examples: Examples
@@ -58,7 +58,7 @@ class _Subject:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Trial:
-    """One instance in one case: the pose that was found, and its error."""
+    """One instance in one case: the estimated pose and its error."""
 
     example: Example
     instance: int
@@ -85,16 +85,17 @@ def measure(
 ) -> Figures:
     """Return a row for each dataset and case: the share of poses within 5 degrees and 3 mm.
 
-    `share` is modulo the symmetry of the part's shape, which is all that depth shows; `strict` is
-    modulo the symmetry that the dataset states, where print may distinguish sides.
+    `share` allows for the symmetry of the part's shape, because depth shows only the shape.
+    `strict` allows only for the symmetry that the dataset states, in which print may distinguish
+    sides.
 
     Args:
-        instances: of each dataset, drawn from those visible enough.
-        detector: the folder of a training. Then the instances are of the scenes that it
-            kept for tests, and its masks and its boxes are two further cases: each
-            instance has the detection of its class with the largest overlap of boxes, of at least
-            `LEAST_IOU`.
-        out: also write the poses as BOP's results, and sheets of pictures with the poses drawn.
+        instances: number of instances sampled from each dataset.
+        detector: the folder of a trained detector. The instances are then from its test scenes, and
+            its masks and boxes are two further cases. An instance is matched to the detection of
+            its class whose box has the largest IoU with its box, at least `LEAST_IOU`.
+        out: a new folder for the poses in BOP's result format and for pictures of the poses.
+        min_visibility: least visible share of a sampled instance.
 
     Raises:
         GraycastError: a dataset is missing or damaged, or has no such instances.
@@ -160,7 +161,7 @@ def _opened(run: Path) -> Any:
 
 
 def _selection(examples: Examples, instances: int, min_visibility: float) -> dict[int, list[int]]:
-    """Draw instances that are visible enough; return their places in each scene."""
+    """Sample instances that are visible enough; return their indices by scene."""
     there = []
     for scene_id in examples.scene_ids:
         example = examples.read(scene_id)
@@ -237,7 +238,7 @@ def _trials(
 def _region(
     example: Example, place: int, region: str, detections: Detections | None
 ) -> np.ndarray | None:
-    """Return a mask or a box [x, y, columns, rows]; None if a detector missed the instance."""
+    """Return a mask or a box [x, y, columns, rows]; None if the detector missed the instance."""
     if region == "mask":
         return _needed(example.mask, example)[place]
     box_px = _needed(example.box_px, example)[place]
@@ -292,7 +293,7 @@ def _row(trials: Sequence[_Trial]) -> Figures:
 
 
 def _estimates(trials: Sequence[_Trial]) -> Iterator[PoseEstimate]:
-    """Yield the poses that were found; as in BOP, the time is that of the whole picture."""
+    """Yield the estimated poses; as in BOP, their time is that of the whole picture."""
     seconds: dict[int, float] = {}
     for trial in trials:
         scene_id = trial.example.scene_id
@@ -310,7 +311,7 @@ def _estimates(trials: Sequence[_Trial]) -> Iterator[PoseEstimate]:
 
 
 def _sheet(subject: _Subject, trials: Sequence[_Trial]) -> UInt8[np.ndarray, "h w 3"]:
-    """Return crops with the part's outline at the pose that was found; red if that is wrong."""
+    """Return a sheet of crops with the part's outline at the estimated pose, red if it is wrong."""
     tiles = [_tile(subject, trial) for trial in trials]
     blank = np.zeros((TILE_PX, TILE_PX, 3), np.uint8)
     tiles += [blank] * (-len(tiles) % COLUMNS)
@@ -347,7 +348,7 @@ def _outline(
     origin: tuple[int, int],
     zoom: float,
 ) -> None:
-    """Draw the outer outline and the depth steps of the part, at the tile's resolution."""
+    """Draw the outline and the depth steps of the part at the resolution of the tile."""
     camera = trial.example.camera
     fine = replace(
         camera,
@@ -360,7 +361,7 @@ def _outline(
     )
     vertices = transform_points(T_cam_part, mesh.vertices_m.astype(np.float64))
     z = np.nan_to_num(rasterize(vertices, mesh.faces, fine).over(fine)[1], nan=10.0)
-    bend = np.zeros(z.shape, bool)  # true at steps and creases, but not on a steep plane
+    bend = np.zeros(z.shape, bool)  # True at steps and creases, but not on a steep plane.
     bend[1:-1] |= np.abs(np.diff(z, n=2, axis=0)) > OUTLINE_M
     bend[:, 1:-1] |= np.abs(np.diff(z, n=2, axis=1)) > OUTLINE_M
     big[bend] = (61, 220, 132) if trial.near else (255, 77, 77)

@@ -1,19 +1,18 @@
-"""A real scan, simulated again on its own surface: docs/measurements/reenactment.md.
+"""Simulation of a real scan on its own surface, for docs/measurements/reenactment.md.
 
 The depth of the scan becomes the surface of a scene. A material is fitted to each mask
-(`graycast.real.material`), and one more to the pixels outside of all masks. The scene is rendered
-under the rig and the code of the scan, a sensor with the noise of the real one takes the pictures,
-and the same decoder reads both stacks.
+(`graycast.real.material`), and one more to the pixels outside all masks. The scene is rendered with
+the rig and the code of the scan, a sensor with the noise of the real sensor takes the pictures, and
+the same decoder reads both stacks.
 
-Two numbers of the real camera are taken from its own pictures: its black level, and the factor
-between light and digital numbers, which makes the medians of the masked pixels equal.
+Two numbers of the real camera are taken from its pictures: the black level, and the factor from
+light to digital numbers, which makes the medians of the masked pixels equal.
 
-Leaves out: the blur of lenses that the rig file does not state; light from outside of the picture;
-surfaces without depth, unless they are saturated. Pixels without a normal, at edges and on small
-faces, are rendered but not compared.
+Leaves out: lens blur that the rig file does not state; light from outside the picture; surfaces
+without depth, unless they are saturated. Pixels without a normal, at edges and on small faces, are
+rendered but not compared.
 """
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,12 +20,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import yaml
 from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.stats import spearmanr
 
-from graycast.base.errors import DecodeError, GraycastError
+from graycast.base.errors import GraycastError
+from graycast.base.folder import write_whole
 from graycast.base.plotting import caption, plain_figure, save_png
+from graycast.base.settings import parse_yaml, read_text
 from graycast.camera.decode import DepthMap, Reason, epipolar_residual_px, off_the_line, triangulate
 from graycast.camera.decode.plan import plan_axes
 from graycast.camera.exposure import ExposureSpec
@@ -35,14 +37,7 @@ from graycast.camera.scanner import Scanner, take
 from graycast.camera.stack import read_description
 from graycast.camera.stack.stack_pictures import read_pictures
 from graycast.cell.resolve import patterns_of
-from graycast.real.material import (
-    MaterialFit,
-    MaterialScan,
-    fit_material,
-    open_scan,
-    read_masks,
-    scale_of,
-)
+from graycast.real.material import MaterialFit, MaterialScan, fit_material, open_scan, read_masks
 from graycast.real.material.normals import smooth_normals
 from graycast.real.rescan.source import SourceImage
 from graycast.real.rescan.staging import stage
@@ -55,8 +50,8 @@ from .figures import Figures, Show
 
 REST, ALL = "rest", "all masks"
 PERCENTILES = (1, 10, 25, 50, 75, 90, 99)
-OFF_PX = 2.0  # A point that is farther from its epipolar line contradicts itself.
-BLACK = 1.0  # percentile of the darkest picture that is the black level
+OFF_PX = 2.0  # A pixel whose code is farther from its epipolar line is off the line.
+BLACK = 1.0  # percentile of the darkest values that is the black level
 BOUNCES = 6
 GRAIN_PX = 7  # side of the windows of local medians
 Mask = Bool[np.ndarray, "h w"]
@@ -71,7 +66,7 @@ class Pictures:
 
     @cached_property
     def black_dn(self) -> float:
-        """The black level: a low percentile of the darkest value of each pixel."""
+        """Black level [DN]: a low percentile of each pixel's darkest value."""
         return float(np.percentile(self.frames.min(axis=0), BLACK))
 
     @property
@@ -101,12 +96,12 @@ def measure(
     samples: int,
     show: Show,
 ) -> Figures:
-    """Write the re-enacted stack and a picture to a new folder, and return the figures.
+    """Write the simulated stack and a picture of both stacks; return the results.
 
     Args:
-        reflectance: reflectance of the pixels outside of the masks, if they show a matt surface of
+        reflectance: reflectance of the pixels outside the masks, if they show a matt surface of
             known reflectance. None takes the intensity of the light from the first mask's fit.
-        metal: whether the masks are known to show metal, which may scatter a part of its light.
+        metal: whether the masks are known to show metal, which may scatter some of its light.
 
     Raises:
         GraycastError: the stack cannot be decoded, or a material cannot be fitted.
@@ -151,10 +146,10 @@ def fitted(
     metal: bool,
     show: Show,
 ) -> dict[str, MaterialFit]:
-    """Fit a material to each region; the intensity of the light is one number for the scan."""
+    """Fit a material to each region; all regions have the same intensity of the light."""
     scale = None
     if reflectance is not None:
-        scale = scale_of(scan.observations(regions[REST]), reflectance)
+        scale = scan.scale(regions[REST], reflectance)
     fits: dict[str, MaterialFit] = {}
     for name, mask in regions.items():
         show(f"the material {name} is fitted")
@@ -165,7 +160,7 @@ def fitted(
 
 
 def with_mottle(scan: MaterialScan, mask: Mask, fit: MaterialFit) -> Material:
-    """Return a fitted material with its mottle, if the scan determines the mottle."""
+    """Return a fitted material with mottle, if the scan determines the mottle."""
     try:
         return scan.mottle(mask, seed=0).on(fit.material)
     except GraycastError:
@@ -175,7 +170,7 @@ def with_mottle(scan: MaterialScan, mask: Mask, fit: MaterialFit) -> Material:
 def staged(
     real: Pictures, regions: Mapping[str, Mask], materials: Mapping[str, Material]
 ) -> tuple[Scene, Layout]:
-    """Build the scene of a scan, whose surface is divided into the materials of the regions."""
+    """Build the scene of a scan with a part for each region and its material."""
     image = SourceImage(
         camera=real.scan.scanner.rig.camera,
         depth_m=real.scan.surface_m,
@@ -211,7 +206,7 @@ def acted(
     samples: int,
     show: Show,
 ) -> Path:
-    """Render the scene under the code of the real stack, and write its pictures as a stack."""
+    """Render the scene with the code of the real stack, and write the pictures as a stack."""
     result, levels = real.scan.result, real.scan.result.levels.levels
     scanner = replace(real.scan.scanner, code=result.code)
     show("the scene is rendered")
@@ -238,25 +233,39 @@ def acted(
     exposure_s = wanted_e / (sensor.responsivity * own)
     scanner = replace(scanner, sensor=sensor, exposure=ExposureSpec(exposure_s=exposure_s))
     capture = take(scanner, radiance, seed=0)
-    folder.mkdir(parents=True, exist_ok=True)
     kind = np.uint8 if sensor.bit_depth == 8 else np.uint16
-    for section, frame in zip(read_description(real.scan.path).frames, capture.frames, strict=True):
-        if not cv2.imwrite(str(folder / section.file.name), frame.astype(kind)):
-            raise DecodeError(f"{section.file.name}: name the pictures of the stack .png")
-    shutil.copyfile(real.scan.path, folder / "stack.yaml")
+    write_pictures(real.scan.path, [frame.astype(kind) for frame in capture.frames], folder)
     return folder
+
+
+def write_pictures(stack: Path, pictures: Sequence[np.ndarray], folder: Path) -> None:
+    """Write other pictures of the frames of a stack file, with a stack file of their own.
+
+    The pictures are numbered PNG files in one folder, because a stack file may name pictures in
+    other folders, or pictures of a kind that loses detail.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    content = parse_yaml(read_text(stack), stack)
+    frames = [
+        {**entry, "file": f"{number:03d}.png"} for number, entry in enumerate(content["frames"])
+    ]
+    for entry, picture in zip(frames, pictures, strict=True):
+        write_whole(folder / entry["file"], cv2.imencode(".png", picture)[1].tobytes())
+    content = {key: value for key, value in content.items() if key != "rig"} | {"frames": frames}
+    text = yaml.safe_dump(content, sort_keys=False)
+    write_whole(folder / "stack.yaml", text.encode())
 
 
 # --- comparison ----------------------------------------------------------------------------------
 
 
 def compared(real: Pictures, own: Pictures, mask: Mask) -> Figures:
-    """Return figures of the real (left) and the simulated stack (right) inside a mask.
+    """Compare the real stack (first values) with the simulated stack (second values) in a mask.
 
-    The white picture is compared where depth and normal are known. Its median relative error and
-    its rank correlation have three values: for single pixels, for the local medians of both
-    pictures, and for the real picture against its own local medians, which no model without the
-    grain itself can surpass. Shares are percentages.
+    White pictures are compared where depth and normal are known. The median relative error and the
+    rank correlation have three values: for single pixels, for the local medians of both pictures,
+    and for the real picture against its own local medians. The last is the limit for a model that
+    does not reproduce the grain. Shares are percentages.
     """
     known = mask & np.isfinite(real.normal[..., 0])
     light = [one.white[known] for one in (real, own)]
@@ -282,7 +291,7 @@ def _rank(true: np.ndarray, own: np.ndarray) -> float:
 
 
 def draw(real: Pictures, own: Pictures, path: Path) -> None:
-    """Draw both white pictures, both depths, and the errors of the white picture."""
+    """Draw both white pictures, both depth maps, and the errors of the white picture."""
     height, width = real.scan.surface_m.shape
     figure, axes = plain_figure(10.0, 15.0 * height / width + 1.5, [1, 1], rows=3)
     depths = [1e3 * one.depth.depth_m for one in (real, own)]
@@ -316,9 +325,9 @@ def _described(fit: MaterialFit) -> Figures:
 
 
 def _decoded(one: Pictures, mask: Mask) -> Figures:
-    """Return shares [%] inside a mask, and the noise over sigma."""
+    """Return shares of pixels [%] in a mask, and the ratio of noise to the stated sigma."""
     codes, rig = one.scan.result.codes, one.scan.scanner.rig
-    bare = triangulate(codes, rig, max_epipolar_px=0.0)  # includes points off their lines
+    bare = triangulate(codes, rig, max_epipolar_px=0.0)  # 0 accepts pixels off their lines.
     residual_px = epipolar_residual_px(codes, bare, rig)
     known = np.isfinite(residual_px) & mask
     off = off_the_line(codes, residual_px, rig, limit_px=OFF_PX)[known]
@@ -335,7 +344,7 @@ def _decoded(one: Pictures, mask: Mask) -> Figures:
 
 
 def contrasts_of(one: Pictures, mask: Mask) -> dict[str, float]:
-    """Return, for each phase period, the median of amplitude over mean in a mask."""
+    """Return, for each phase period, the median fringe contrast (amplitude / mean) in a mask."""
     contrasts = {}
     for axis, plan in plan_axes(one.scan.result.code, fine_bits=0).items():
         for period in plan.periods:
@@ -351,12 +360,12 @@ def contrasts_of(one: Pictures, mask: Mask) -> dict[str, float]:
 
 
 def _with_normals(mesh: Mesh, normal: Float[np.ndarray, "h w 3"], camera: Optics) -> Mesh:
-    """Return the mesh with each pixel's normal as shading normal, where it is known."""
+    """Return the mesh with the normals of pixels as shading normals, where they are known."""
     corner_m = mesh.vertices_m[mesh.faces]
-    # A corner is between pixels: a little towards the middle is the pixel of its own face.
+    # A corner is between pixels, so a point between corner and middle gives the face's own pixel.
     inside_m = corner_m + 0.25 * (corner_m.mean(axis=1, keepdims=True) - corner_m)
     own = normal[_pixels_of(inside_m.reshape(-1, 3), camera)].reshape(-1, 3, 3)
-    with np.errstate(invalid="ignore"):  # A comparison with NaN is False: sides stay as they are.
+    with np.errstate(invalid="ignore"):  # Comparisons with NaN are false, so sides do not change.
         top = (own * mesh.face_normal[:, None]).sum(axis=-1) > 0.7
     assert mesh.corner_normals is not None  # `stage` gives its solid shading normals.
     return replace(mesh, corner_normals=np.where(top[..., None], own, mesh.corner_normals))

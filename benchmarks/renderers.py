@@ -1,10 +1,10 @@
-"""The times of docs/measurements/renderers.md: Cycles by one and by three patterns, and Mitsuba.
+"""Times of Mitsuba, and of Cycles with one or three patterns per render.
 
-The renderers run in turn on one scene and one machine, from scene to radiance and ground truth.
-Cycles renders a few patterns and the fixed frames (white, ambient, quantities); each further
-pattern counts as the median of its steady frames. Both start warm, with process and kernels loaded.
-At a smaller size, a second study finds the samples that each needs for the same error of decoded
-depth against its own converged pictures.
+The results are in docs/measurements/renderers.md. The renderers run in turn on one scene, from
+scene to radiance and ground truth. Cycles renders only a few patterns and the fixed frames (white,
+ambient, quantities); the time of the other patterns is estimated from the median frame. Processes
+and kernels are loaded before. At a smaller size, a second study finds the number of samples with
+which both renderers have the same error of decoded depth against their own converged pictures.
 """
 
 import math
@@ -30,9 +30,9 @@ from .processes import children_peak_rss_bytes, cpu_s
 from .stages import PARTS
 
 SIZE_PX = (1032, 772)
-TIMED = {1: 3, 3: 2}  # timed renders, by patterns per render
+TIMED = {1: 3, 3: 2}  # number of timed renders, by patterns per render
 ROUNDS = 2
-FEW_SAMPLES = 4  # second point of the line of frame time over samples
+FEW_SAMPLES = 4  # second point for the linear fit of frame time over samples
 ERROR_SIZE_PX = (172, 130)
 ERROR_MOST = 128
 MEASURES = ("bad_share", "depth_rms_right_mm")
@@ -40,7 +40,7 @@ MEASURES = ("bad_share", "depth_rms_right_mm")
 
 @dataclass(slots=True)
 class Stopwatch:
-    """Wall and processor time since the start, recorded at each finished frame of Cycles."""
+    """Wall and processor time since the start, recorded after each frame of Cycles."""
 
     start_s: float = field(default_factory=lambda: time.perf_counter())
     start_cpu_s: float = field(default_factory=lambda: cpu_s())
@@ -50,7 +50,7 @@ class Stopwatch:
         self.marks.append((time.perf_counter() - self.start_s, cpu_s() - self.start_cpu_s))
 
     def steady(self, count: int) -> tuple[float, float]:
-        """Return median wall and processor seconds of the frames after the first of `count`."""
+        """Return the median wall and processor seconds of frames 1 to `count` - 1."""
         pairs = list(pairwise(self.marks[:count]))
         wall_s = median(after[0] - before[0] for before, after in pairs)
         return wall_s, median(after[1] - before[1] for before, after in pairs)
@@ -71,14 +71,14 @@ def study(
     size_px: tuple[int, int],
     show: Show,
 ) -> Figures:
-    """Time a stack by each; return the seconds, and ratios at equal samples and equal error.
+    """Time a stack with each renderer; return seconds, and ratios at equal samples and equal error.
 
     Args:
         three: Cycles with three patterns per render.
-        count: brackets in the box.
+        count: number of brackets in the box.
 
     Raises:
-        ValueError: too few samples, or a size that exceeds the camera's picture.
+        ValueError: there are too few samples, or the size exceeds the camera's picture.
     """
     if samples <= FEW_SAMPLES:
         raise ValueError(f"samples is {samples}; give more than {FEW_SAMPLES}, which is also timed")
@@ -148,7 +148,7 @@ def _stack(
     patterns: UInt8[np.ndarray, "n ph pw"],
     quality: Quality,
 ) -> Figures:
-    """Return wall and processor seconds of a stack, for Cycles from a few of its renders."""
+    """Return wall and processor seconds of a stack; for Cycles, an estimate from a few renders."""
     watch = Stopwatch()
     if renderer.name != "cycles":
         renderer.render(cell.scene, layout, patterns, quality=quality, seed=1)
@@ -177,12 +177,13 @@ def _stack(
 
 
 def equal_error(rows: list[Figures], timed: Figures, samples: int) -> list[Figures]:
-    """Return, for each measure, the samples Cycles needs for the error of one pass at `samples`.
+    """Return, for each error measure, the numbers of samples at which both have the same error.
 
-    Also return the samples one pass needs for the error of Cycles at `samples`, and, as
-    `cycles_over_onepass_cpu`, the ratio of processor times at equal error. Processor time is
-    linear in the samples; wall time is not, because short frames leave processors idle. A '>' or
-    '<' means that the number is outside the tried range.
+    `cycles_samples` are needed for the error of Mitsuba's one pass at `samples`, and
+    `onepass_samples_for_cycles_error` the reverse. `cycles_over_onepass_cpu` is the ratio of
+    processor times at equal error. It assumes that processor time is linear in the samples; wall
+    time is not, because short frames leave processors idle. A '>' or '<' means that the number is
+    outside the tried range.
     """
     frame_s, few_s = timed["cycles_frame_cpu_s"], timed["cycles_frame_cpu_s_at_few_samples"]
     slope_s = (frame_s - few_s) / (samples - FEW_SAMPLES)
@@ -220,7 +221,7 @@ def _at(rows: list[Figures], measure: str, samples: int) -> float:
 def _errors(
     cell: Cell, layout: Layout, renderers: tuple[Renderer, Renderer, Renderer], show: Show
 ) -> list[Figures]:
-    """Measure the error of decoded depth over samples, for one pass and for Cycles."""
+    """Measure the error of decoded depth over samples, for Mitsuba's one pass and for Cycles."""
     mitsuba, cycles, three = renderers
     rows = []
     for renderer, for_reference in ((mitsuba, mitsuba), (cycles, three)):

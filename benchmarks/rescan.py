@@ -1,9 +1,9 @@
-"""The loop of `graycast rescan`: our own datasets without their scanner depth, scanned again.
+"""Test of `graycast rescan` on generated datasets without their scanner depth.
 
-Each cell's scenes are rendered and scanned as `generate` does; then all that the scanner made is
-removed, and `rescan` makes it again from perfect depth, models, poses and colour pictures. A second
-rescan with other random numbers shows how much two draws of the same scenes differ, and one without
-models shows how good a rescan from depth alone is.
+The scenes of each cell are generated, and the files of the scanner are removed. Then `rescan` makes
+these files again from perfect depth, models, poses and colour pictures. A second rescan, with
+another seed, shows the random differences between two scans, and a rescan without models shows how
+good a rescan from depth alone is.
 """
 
 import shutil
@@ -44,7 +44,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """Quantities of one image that are compared."""
+    """The compared data of one image."""
 
     name: str
     depth_m: Float[np.ndarray, "h w"]
@@ -59,7 +59,7 @@ class _Scan:
 
 
 def measure(scenes: int, show: Show) -> Figures:
-    """Return a row of figures for each cell and each way of scanning."""
+    """Return a row of results for each cell and each kind of scan."""
     rows: list[Figures] = []
     with tempfile.TemporaryDirectory() as folder:
         for name, (config, changes) in CELLS.items():
@@ -80,7 +80,7 @@ def _rows(name: str, cell: Cell, folder: Path, scenes: int, show: Show) -> Itera
     parts = {i: part.material.words for i, part in enumerate(cell.scene.parts, start=1)}
     for i, words in parts.items():
         if cell.scene.parts[i - 1].material.texture is not None:
-            del words["base_color"]  # The model has its own texture.
+            del words["base_color"]  # The model file has its own texture.
     materials.write_text(yaml.safe_dump(parts))
     original = _scans(folder / "whole/train", folder / "whole/train")
     yield {"cell": name, "scan": "generate", "s": whole_s, **_figures(original, original)}
@@ -98,7 +98,7 @@ def _rows(name: str, cell: Cell, folder: Path, scenes: int, show: Show) -> Itera
 
 
 def _strip(whole: Path, bare: Path) -> None:
-    """Copy a dataset without the files that its scanner made."""
+    """Copy a dataset without the files of its scanner."""
     shutil.copytree(whole / "models", bare / "models")
     for path in sorted((whole / "train").iterdir()):
         keep = (entry for entry in path.iterdir() if not entry.stem.endswith("_sl"))

@@ -1,4 +1,4 @@
-"""The named scanners next to their makers' figures, for docs/reference/shelf.md."""
+"""Measurements of the named scanners next to their makers' figures, for docs/reference/shelf.md."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ from graycast.show.report.rig_picture import common_field
 from graycast.show.report.shelf_list import stored_noise_m
 
 SCOPE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
-READOUT_S = 0.01  # time to read a frame, as in the design study
+READOUT_S = 0.01  # time to read out a frame, as in the design study
 START, END = "<!-- by python -m benchmarks shelf -->", "<!-- end -->"
 HEAD = (
     "scanner", "range [m]", "points", "field near / middle / far [mm]", "stated field; here [mm]",
@@ -39,7 +39,7 @@ HEAD = (
 def measure_all(
     names: list[str], resolution: str, commit: str, show: Callable[[str], None]
 ) -> dict[str, ShelfFigures]:
-    """Measure the named scanners; read the figures of the others, stored at this resolution."""
+    """Measure the named scanners; take the others' results from the package, if they are stored."""
     stored = measured()
     figures = dict(stored.scanners) if stored.resolution == resolution else {}
     origin = f"commit {commit}, python -m benchmarks shelf"
@@ -70,7 +70,7 @@ def _rounded(value: float) -> float:
 
 
 def _store(figures: dict[str, ShelfFigures], origin: str, resolution: str) -> None:
-    """Write the figures into the package, where `graycast rig list --noise` reads them."""
+    """Store the results in the package, where `graycast rig list --noise` reads them."""
     rows = {name: figures[name].model_dump(mode="json") for name in SHELF if name in figures}
     content = {"origin": origin, "resolution": resolution, "scanners": rows}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
@@ -79,14 +79,14 @@ def _store(figures: dict[str, ShelfFigures], origin: str, resolution: str) -> No
 
 
 def draw_all(names: list[str], folder: Path) -> None:
-    """Draw the volume of each scanner, as `graycast rig show` does."""
+    """Draw the measuring volume of each scanner like `graycast rig show`."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
         draw_rig(preset(name, "full").rig, folder / f"{name}.png")
 
 
 def with_table(page: str, figures: dict[str, ShelfFigures]) -> str:
-    """Return the page with a new table between its two marks."""
+    """Return the page with a new table between its markers `START` and `END`."""
     before, rest = page.split(START)
     _, after = rest.split(END)
     rows = [_row(name, shelf_entry(name), figures.get(name)) for name in SHELF]
@@ -135,12 +135,12 @@ def _row(name: str, entry: ShelfEntry, own: ShelfFigures | None) -> list[str]:
 
 
 def _mark(name: str, *keys: str) -> str:
-    """Return the first letter of the class of a stated number, in parentheses."""
+    """Return the first letter of the class of a stated figure, in parentheses."""
     return f" ({class_of(name, *keys)[0]})"
 
 
 def _field(rig: Rig, z_m: float) -> str:
-    """Return the size of the rectangle that encloses the common field."""
+    """Return the size of the bounding rectangle of the common field as text."""
     return _size(np.ptp(common_field(rig, z_m), axis=0))
 
 

@@ -1,4 +1,4 @@
-"""Actual over stated depth error of simulated scans, by code and number of light paths."""
+"""Ratio of actual to stated depth errors of simulated scans, by code and number of light paths."""
 
 from dataclasses import replace
 
@@ -20,13 +20,13 @@ CODECS: tuple[Codec, ...] = ("gray", "gray_phase", "multi_frequency", "micro_pha
 SAMPLES = (1, 2, 4, 16, 64)
 SIZE_PX = (160, 120)
 DISTANCE_M, HALF_M = 0.75, 0.4
-WITHIN = 0.6827  # the share of normal errors within one sigma
+WITHIN = 0.6827  # share of normally distributed errors within one sigma
 GROSS = 5.0  # A gross error is more than this many sigmas.
 WHITE = Material(base_color=(0.8, 0.8, 0.8), specular=0.0)
 
 
 def honesty(show: Show) -> str:
-    """Return Markdown tables: error over sigma without -> with the renderer's noise in sigma."""
+    """Return Markdown tables of error over sigma, without -> with the renderer's noise in sigma."""
     renderer = open_renderer("mitsuba")
     texts = []
     for name, scanner in _scanners().items():
@@ -46,9 +46,9 @@ def honesty(show: Show) -> str:
 
 
 def _cell(renderer: Renderer, scanner: Scanner, scene: Scene, quality: Quality) -> str:
-    """Return error over sigma without and with that noise, and the gross errors with it."""
+    """Return error over sigma without -> with the renderer's noise, and gross errors with it."""
     code = scanner.light_code()
-    # Without phases, two renderings have equal columns, and interreflection changes few of them.
+    # Codes without phases give equal columns in two renderings, and interreflection changes few.
     seeds = (1, 2) if quality.depth > 1 and code.subpixel else (1,)
     shots = [
         renderer.render(scene, EMPTY_LAYOUT, code.render(), quality=quality, seed=seed)
@@ -62,7 +62,10 @@ def _cell(renderer: Renderer, scanner: Scanner, scene: Scene, quality: Quality) 
 
 
 def _error_sigmas(scanner: Scanner, shots: list[Rendering], lights: list[Radiance]) -> np.ndarray:
-    """Return errors in sigmas against the truth; two renderings cancel interreflection."""
+    """Return depth errors in sigmas, against the truth or between two renderings.
+
+    The difference of two renderings does not contain the error by interreflection.
+    """
     depths = [scan(scanner, light, seed=seed).depth for seed, light in enumerate(lights)]
     sigma_m = np.hypot(*(depth.sigma_m for depth in depths)) if depths[1:] else depths[0].sigma_m
     other_m = depths[1].depth_m if depths[1:] else shots[0].truth.depth_m
@@ -90,7 +93,7 @@ def _valley(scanner: Scanner) -> Scene:
 
 
 def _quad(x_m: float, half_m: float, slope: float) -> Quad:
-    """Return a quad of the plane `z = DISTANCE_M - slope x` in the camera's frame."""
+    """Return a quad in the plane `z = DISTANCE_M - slope x` of the camera frame."""
     return Quad(
         center_m=(x_m, 0.0, DISTANCE_M - slope * x_m),
         half_u_m=(half_m, 0.0, -slope * half_m),

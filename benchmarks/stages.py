@@ -1,8 +1,8 @@
 """The stages that `compare` times: python -P benchmarks/stages.py STAGES ROUND WORK
 
-It runs under either tree, with `PYTHONPATH` at its `src`, and writes each figure as a line of JSON.
-ROUND is a number, which chooses the seeds of the drops, or `warm`: caches are filled, and no figure
-counts. WORK is a folder that both trees share.
+`PYTHONPATH` must be the `src` of the measured tree. The program writes each result as a line of
+JSON. ROUND is a number, which determines the seeds of the drops, or `warm`, which fills caches and
+whose results are ignored. WORK is a folder that both trees share.
 """
 
 import inspect
@@ -21,14 +21,14 @@ from tempfile import mkdtemp
 from types import SimpleNamespace
 from typing import Any
 
-Job = tuple[str, str, int, Callable[[], object]]  # stage, row, how often it runs, what runs
+Job = tuple[str, str, int, Callable[[], object]]  # stage, row, number of runs, function to time
 Group = Callable[[Path, int], Iterator[Job]]
 
 BRACKET = "metal_workpiece_1"
-DROPS = ((30, 8), (100, 3), (180, 1), (255, 1))  # parts, drops in a round
+DROPS = ((30, 8), (100, 3), (180, 1), (255, 1))  # numbers of parts, and of drops in a round
 PARTS = 30  # number of parts in the picture
 SAMPLES = 16
-WHITE_SAMPLES = 4  # at 16 samples one frame would take as long as a stack
+WHITE_SAMPLES = 4  # At 16 samples, one frame would take as long as a stack.
 SCENES = 3  # number of scenes in the validated dataset
 
 
@@ -61,9 +61,9 @@ def drops(work: Path, number: int) -> Iterator[Job]:
         for seed in seeds:
             drop(scene, (parts,), seed=seed, limits=DropLimits())
 
-    several(1, range(1))  # reads the hulls, or makes them once
+    several(1, range(1))  # The timed drops must find the hulls cached.
     for parts, each in DROPS:
-        # Each round has other seeds, as a drop may take twice as long as with the next seed.
+        # Each round has other seeds, because the time of a drop depends strongly on the seed.
         seeds = range(1 + number * each, 1 + (number + 1) * each)
         yield "drop", f"drop, {each} x {parts} parts", 1, partial(several, parts, seeds)
 
@@ -77,12 +77,12 @@ def images(work: Path, number: int) -> Iterator[Job]:
     cell, renderer = cell_of({}), open_renderer("mitsuba")
     layout, patterns = stored_layout(work, cell.scene), cell.patterns()
 
-    @cache  # later stages use the stack that was timed
+    @cache  # Later stages use the stack that was timed.
     def render(frames: int, samples: int, seed: int) -> Any:
         quality = replace(resolve_quality(cell.config), samples=samples)
         return renderer.render(cell.scene, layout, patterns[:frames], quality=quality, seed=seed)
 
-    render(1, WHITE_SAMPLES, 0)  # loads the libraries
+    render(1, WHITE_SAMPLES, 0)  # Loading the libraries must not be timed.
     white, stack = (1, WHITE_SAMPLES, 1), (len(patterns), SAMPLES, 1)
     yield "render", f"render, white frame, {WHITE_SAMPLES} samples", 1, partial(render, *white)
     yield "render", f"render, stack, {SAMPLES} samples", 1, partial(render, *stack)
@@ -103,7 +103,7 @@ def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iter
     from graycast.dataset.checking import validate
     from graycast.dataset.store import open_store
 
-    # `make_scene` gets the existing layout and light, since a manifest must fit its dataset.
+    # `make_scene` makes the manifests, which must fit the dataset, from existing layout and light.
     simulation: Any = simulate
     simulation.drop = lambda *_, **__: layout
     own = {name: getattr(renderer, name) for name in ("name", "device", "versions")}
@@ -111,10 +111,11 @@ def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iter
     make = partial(simulation.make_scene, cell, seed=0, renderer=again)
     samples, numbers = [make(number).sample for number in range(SCENES)], count()
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
-    # Both commits use the same depth step, since a finer step makes larger files.
+    # Both commits use the same depth step, because a finer step makes larger files.
     shared: Any = {"parts": cell.scene.parts, "rig": cell.scene.rig, "depth_scale_mm": 0.05}
     with open_store(Path(mkdtemp(dir=work)) / "dataset", config=config, seed=0, **shared) as store:
-        several = "samples" in inspect.signature(store.write).parameters  # 114e8a0 takes one sample
+        # `write` takes one sample in commits before 114e8a0, and several samples since.
+        several = "samples" in inspect.signature(store.write).parameters
 
         def write() -> None:
             sample = samples[number := next(numbers)]
@@ -124,13 +125,13 @@ def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iter
         while len(store.finished()) < SCENES:
             write()
         store.finish(range(SCENES))
-        if problems := validate(store.out):  # a failed check might be quicker
+        if problems := validate(store.out):  # A check that fails might be faster.
             raise ValueError(f"the dataset has problems: {problems[0]}")
         yield "validate", f"validate, {SCENES} scenes", 3, partial(validate, store.out)
 
 
 def cell_of(settings: dict[str, object]) -> Any:
-    """Metal brackets in a wooden box as in the paper: 22 patterns, 16 samples, path depth 4."""
+    """Return a cell of metal brackets in a wooden box as in the paper, with changed settings."""
     from graycast.cell.config import Config
     from graycast.cell.resolve import resolve_cell
 
@@ -139,7 +140,7 @@ def cell_of(settings: dict[str, object]) -> Any:
 
 
 def stored_layout(work: Path, scene: Any) -> Any:
-    """Return one layout for both trees, whose drops may differ: made once, then read."""
+    """Return one layout for both trees, whose drops may differ: the first call stores it."""
     import numpy as np
 
     from graycast.world.drop import DropLimits, drop
@@ -161,7 +162,7 @@ STAGES = [stage for stages in GROUPS.values() for stage in stages]
 
 
 def processor_s() -> float:
-    """Return the processor time of this process, all threads, and of children that ended."""
+    """Return the processor time of this process, all threads, and of its ended child processes."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 
@@ -174,7 +175,7 @@ def run_job(stage: str, row: str, times: int, job: Callable[[], object]) -> None
             job()
             processor.append(processor_s() - start[0])
             wall.append(time.perf_counter() - start[1])
-    except Exception as error:  # an error of one commit must not end the comparison
+    except Exception as error:  # An error of one commit must not end the comparison.
         return complain(stage, row, error)
     say(stage, row, value=median(processor))
     if stage == "render":
@@ -188,7 +189,7 @@ def run_group(group: Group, stages: set[str], number: str, work: str) -> None:
             if stage not in stages and not waiting:
                 return
             waiting.discard(stage)
-            # The caches of hulls and drops are filled before their first job.
+            # The hulls and drop stages need no warm-up: their caches are already filled.
             if stage in stages and not (warm and stage in ("hulls", "drop")):
                 run_job(stage, row, 1 if warm else times, job)
     except Exception as error:

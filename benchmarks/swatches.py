@@ -1,8 +1,8 @@
-"""Pictures of all materials by name: docs/images/materials.jpg.
+"""Pictures of all materials by name, for docs/images/materials.jpg.
 
-A ball and the turned ring of the built-in parts lie on a matt grey table, once under a square lamp,
-in colour, and once under projected stripes, as a monochrome camera sees them. Both have one
-exposure for all materials, so bright ones look bright. Both are denoised.
+A sphere and the turned ring of the built-in parts are on a matt grey table. One picture is in
+colour under a square lamp, the other monochrome under projected stripes. The exposure is the same
+for all materials, so that bright materials look bright. All pictures are denoised.
 """
 
 from collections.abc import Callable
@@ -26,11 +26,11 @@ from graycast.world.scene import Environment, Lamp, Layout, Quad, Scene
 WIDTH_PX, HEIGHT_PX, COLUMNS, LABEL_PX, GAP_PX = 160, 100, 4, 18, 6
 SAMPLES, SEED, STRIPE_PX = 512, 1, 7
 BALL_M = 0.018  # radius of the ball
-WHITE_LAMP, WHITE_STRIPES = 0.8, 1.3  # the radiance [W sr^-1 m^-2] that is shown as white
+WHITE_LAMP, WHITE_STRIPES = 0.8, 1.3  # radiance [W sr^-1 m^-2] that is white in the pictures
 
 
 def draw(out: Path, show: Callable[[str], None], names: tuple[str, ...] = (*MATERIALS,)) -> None:
-    """Render all swatches and write them as one picture with the names."""
+    """Render the swatches of all materials, and write them with their names as one picture."""
     rows = -(-len(names) // COLUMNS)
     cell = 2 * WIDTH_PX + GAP_PX, HEIGHT_PX + LABEL_PX
     sheet = Image.new("RGB", (COLUMNS * cell[0] - GAP_PX, rows * cell[1]), "white")

@@ -1,8 +1,8 @@
-"""The table of docs/measurements/drop.md: do parts come to rest, and are they in balance?
+"""Success and balance of drops of typical parts, for the table of docs/measurements/drop.md.
 
-Each family of `ZOO` is dropped into one bin, as many parts as asked for or as many as it holds
-loosely. A layout counts as made if `drop` returns it with the default limits of a configuration,
-and as in balance if in MuJoCo no point of a part moves by more than 1 mm within 1 s.
+Parts of each family of `ZOO` are dropped into one bin; their number is limited by the bin's volume.
+A layout counts as made if `drop` returns it with the default limits of a configuration. It is in
+balance if no point of a part moves by more than 1 mm in 1 s of simulation by MuJoCo.
 """
 
 import time
@@ -26,8 +26,8 @@ from .zoo_parts import ZOO, zoo_part
 
 BIN_M = (0.4, 0.3, 0.15)
 BALANCED_M = 1e-3
-FILL = 0.25  # share of the bin's volume that the parts' boxes may fill
-ENTANGLED = ("spring", "chain")  # at most ten are dropped, since a heap of them is one tangle
+FILL = 0.25  # share of the bin's volume that the bounding boxes of parts may fill
+ENTANGLED = ("spring", "chain")  # At most ten are dropped, because a heap of these is one tangle.
 ENTANGLED_MOST = 10
 
 
@@ -45,12 +45,12 @@ def measure(
 
     Args:
         families: names in `ZOO`.
-        counts: numbers of parts; if the bin holds fewer, this smaller number is dropped.
-        seeds: number of drops in a row.
+        counts: numbers of parts, each reduced to the number for which the bin has room.
+        seeds: number of drops per row.
         hull_folder: the folder of stored collision hulls.
 
     Raises:
-        ValueError: no such family.
+        ValueError: there is no such family.
     """
     rows = []
     for part in [zoo_part(name) for name in families]:
@@ -67,7 +67,7 @@ def measure(
 
 
 def describe_row(row: Figures) -> str:
-    """Return the text of a row in one line."""
+    """Return a row as one line of text."""
     text = f"{row['family']} x {row['count']}: {row['made']} of {row['asked']} made"
     if "attempts" in row:
         text += f", attempts {row['attempts']:g} (most {row['most']})"
@@ -83,7 +83,7 @@ def _most(part: Part) -> int:
 
 
 def _drop(part: Part, body: Body, count: int, seed: int, hull_folder: Path | None) -> Figures:
-    """Drop once; return the processor time and, if there is a layout, its figures."""
+    """Drop once; return the processor time and, if there is a layout, its properties."""
     box = Bin(inner_m=BIN_M)
     scene = Scene(rig=preset_rig("paper"), T_world_cam=np.eye(4), parts=(part,), bin=box)
     start = time.process_time()

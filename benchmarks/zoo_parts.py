@@ -1,11 +1,12 @@
 """A zoo of parts that are typical for bins, modelled in code with standard dimensions.
 
-The built-in parts are five; a drop that lays these five well may fail on a bolt. Here is one part
-of each family of the trade, each closed, counter-clockwise seen from outside, centred on its
-bounding box. Shapes are modelled in millimetres and scaled once; a full turn has 48 facets.
+A drop that works for the five built-in parts may fail for a bolt, so the zoo has a part of each
+common family. Meshes are closed, their faces are counter-clockwise seen from outside, and the
+middle of the bounding box is the origin. Shapes are modelled in millimetres and then scaled; a full
+turn has 48 facets.
 
-The parts have no threads (a shank is a cylinder of the nominal diameter, the bore of a nut has the
-thread's inner diameter) and no symmetries, which no drop needs.
+Leaves out: threads (a shank is a cylinder of the nominal diameter, and the bore of a nut has the
+inner diameter of the thread), and symmetries, which a drop does not need.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from graycast.world.parts.builtin import CREASE_RAD
 from graycast.world.parts.normals import crease_normals
 from graycast.world.parts.shapes import loft, revolve, solid
 
-SEGMENTS = 48  # in a full turn: the facets of an 8 mm shank are up to 9 um inside its circle
+SEGMENTS = 48  # per full turn; the facets of an 8 mm shank are up to 9 um inside its circle
 WIRE_SEGMENTS = 24  # around the cross-section of a wire or a cord
 
 _STEEL = Material(base_color=(0.45, 0.45, 0.46), metallic=1.0, roughness=0.4)
@@ -33,7 +34,7 @@ _CARD = Material(base_color=(0.5, 0.36, 0.22), roughness=0.8, specular=0.2)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Family:
-    """A shape [mm] and its material."""
+    """The shape [mm] of a part and its material properties."""
 
     shape: Callable[[], Manifold]
     density_kg_m3: float = 7800.0
@@ -84,25 +85,25 @@ def wavy_ring(faces: int) -> Mesh:
 
 
 def _turned(profile_mm: list[tuple[float | int, float | int]]) -> Manifold:
-    """Turn a closed profile (r, z), counter-clockwise, once around the z axis."""
+    """Revolve a closed, counter-clockwise profile (r, z) [mm] around the z axis."""
     return CrossSection([profile_mm]).revolve(SEGMENTS)
 
 
 def _hexagon(width_mm: float, height_mm: float) -> Manifold:
-    """Return a prism on z = 0, `width_mm` across flats."""
+    """Return a hexagonal prism on z = 0 with `width_mm` across flats."""
     corner_mm = width_mm / np.sqrt(3)
     return Manifold.cylinder(height_mm, corner_mm, corner_mm, 6)
 
 
 def _bore(diameter_mm: float, height_mm: float) -> Manifold:
-    """Return a cylinder on z = 0."""
+    """Return a cylinder on z = 0, to be subtracted from a part."""
     return Manifold.cylinder(height_mm, diameter_mm / 2, diameter_mm / 2, SEGMENTS)
 
 
 def _rod(path_mm: Float[np.ndarray, "n 3"], diameter_mm: float, segments: int) -> Manifold:
-    """Return a round wire along a path with square ends.
+    """Return a round wire along a path, with flat ends normal to the path.
 
-    Its cross-section does not turn about the path (Bishop's frame).
+    Its cross-section does not rotate about the path (Bishop frame).
     """
     step = np.diff(path_mm, axis=0)
     step /= np.linalg.norm(step, axis=1, keepdims=True)
@@ -123,7 +124,7 @@ def _rod(path_mm: Float[np.ndarray, "n 3"], diameter_mm: float, segments: int) -
 def _arc(
     center_mm: tuple[float, float], radius_mm: float, from_deg: float, to_deg: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Return points of an arc in the plane y = 0; angles are from x to z."""
+    """Return points of an arc in the plane y = 0; angles are measured from x to z."""
     steps = int(np.ceil(abs(to_deg - from_deg) / 360 * SEGMENTS))
     turn = np.radians(np.linspace(from_deg, to_deg, steps + 1))
     x, z = center_mm[0] + radius_mm * np.cos(turn), center_mm[1] + radius_mm * np.sin(turn)
@@ -134,25 +135,25 @@ def _arc(
 
 
 def _hex_bolt() -> Manifold:
-    """ISO 4017 M8 x 25: 13 mm across flats, head 5.3 mm, its point chamfered by 1.25 mm."""
+    """Return ISO 4017 M8 x 25: 13 mm across flats, head 5.3 mm, end chamfered by 1.25 mm."""
     shank = _turned([(0, -25), (2.75, -25), (4, -23.75), (4, 1), (0, 1)])
     return _hexagon(13.0, 5.3) + shank
 
 
 def _socket_screw() -> Manifold:
-    """ISO 4762 M3 x 10: head 5.5 x 3 mm, socket 2.5 mm wide and 1.3 mm deep."""
+    """Return ISO 4762 M3 x 10: head 5.5 x 3 mm, socket 2.5 mm wide and 1.3 mm deep."""
     body = [(0, -10), (1.1, -10), (1.5, -9.6), (1.5, 0), (2.75, 0), (2.75, 2.7), (2.45, 3), (0, 3)]
     return _turned(body) - _hexagon(2.5, 2.0).translate((0, 0, 1.7))
 
 
 def _countersunk_screw() -> Manifold:
-    """ISO 10642 M4 x 16: head 8 mm with a cone of 90 degrees, socket 2.5 mm, 1.5 mm deep."""
+    """Return ISO 10642 M4 x 16: head 8 mm with a cone of 90 degrees, socket 2.5 mm, 1.5 mm deep."""
     body = [(0, -16), (1.6, -16), (2, -15.6), (2, -2.3), (4, -0.3), (4, 0), (0, 0)]
     return _turned(body) - _hexagon(2.5, 2.0).translate((0, 0, -1.5))
 
 
 def _rivet() -> Manifold:
-    """DIN 660 4 x 10: a domed head 7 mm wide and 2.4 mm high, a shank of 10 mm."""
+    """Return DIN 660 4 x 10: a domed head 7 mm wide and 2.4 mm high, a shank of 10 mm."""
     radius = (3.5**2 + 2.4**2) / (2 * 2.4)  # radius of the sphere of the dome
     rise = np.arcsin((radius - 2.4) / radius)
     turn = np.linspace(rise, np.pi / 2, 13)
@@ -162,24 +163,24 @@ def _rivet() -> Manifold:
 
 
 def _nut() -> Manifold:
-    """ISO 4032 M8: 13 mm across flats, 6.8 mm high, corners chamfered at 30 degrees."""
-    far, drop = 9.0, (9.0 - 6.5) * np.tan(np.radians(30))  # the cones start at the flats
+    """Return ISO 4032 M8: 13 mm across flats, 6.8 mm high, corners chamfered at 30 degrees."""
+    far, drop = 9.0, (9.0 - 6.5) * np.tan(np.radians(30))  # The cones begin at the flats.
     cones = [(0, 0), (6.5, 0), (far, drop), (far, 6.8 - drop), (6.5, 6.8), (0, 6.8)]
     return (_hexagon(13.0, 6.8) ^ _turned(cones)) - _bore(6.647, 8.0).translate((0, 0, -0.5))
 
 
 def _washer() -> Manifold:
-    """ISO 7089 M8: 16 mm wide, 1.6 mm thick, a hole of 8.4 mm."""
+    """Return ISO 7089 M8: 16 mm wide, 1.6 mm thick, a hole of 8.4 mm."""
     return _turned([(4.2, 0), (8, 0), (8, 1.6), (4.2, 1.6)])
 
 
 def _pin() -> Manifold:
-    """A cylinder pin 6 x 30 mm, both ends chamfered by 0.8 mm."""
+    """Return a cylindrical pin of 6 x 30 mm, both ends chamfered by 0.8 mm."""
     return _turned([(0, 0), (2.2, 0), (3, 0.8), (3, 29.2), (2.2, 30), (0, 30)])
 
 
 def _ball() -> Manifold:
-    """A ball of 20 mm."""
+    """Return a ball with a diameter of 20 mm."""
     return Manifold.sphere(10, SEGMENTS)
 
 
@@ -192,17 +193,17 @@ def _torus(radius_mm: float, cord_mm: float) -> Manifold:
 
 
 def _o_ring() -> Manifold:
-    """30 x 3.5 mm: inner diameter, cord."""
+    """Return an O-ring with an inner diameter of 30 mm and a cord of 3.5 mm."""
     return _torus(15.0 + 1.75, 3.5)
 
 
 def _tube() -> Manifold:
-    """Outer diameter 20 mm, wall 2 mm, length 60 mm."""
+    """Return a tube with an outer diameter of 20 mm, a wall of 2 mm and a length of 60 mm."""
     return _turned([(8, 0), (10, 0), (10, 60), (8, 60)])
 
 
 def _elbow() -> Manifold:
-    """A pipe of 22 x 1.5 mm, bent by 90 degrees at a radius of 27 mm, straight ends of 12 mm."""
+    """Return a pipe of 22 x 1.5 mm, bent by 90 degrees with a radius of 27 mm, with 12 mm ends."""
     bend = _arc((0.0, 0.0), 27.0, 0.0, 90.0)
 
     def pipe(diameter_mm: float, end_mm: float) -> Manifold:
@@ -213,7 +214,7 @@ def _elbow() -> Manifold:
 
 
 def _tee() -> Manifold:
-    """A pipe of 22 x 2 mm, 60 mm long, with a branch that ends 30 mm from its axis."""
+    """Return a pipe of 22 x 2 mm, 60 mm long, with a branch that ends 30 mm from its axis."""
 
     def pipe(diameter_mm: float, more_mm: float) -> Manifold:
         run = _bore(diameter_mm, 60.0 + 2.0 * more_mm).translate((0, 0, -30 - more_mm))
@@ -223,9 +224,9 @@ def _tee() -> Manifold:
 
 
 def _spring() -> Manifold:
-    """A compression spring: wire 1.5 mm, outer diameter 15 mm, length 40 mm, 8 turns.
+    """Return a compression spring: wire 1.5 mm, outer diameter 15 mm, length 40 mm, 8 turns.
 
-    A turn at each end is closed: it rises by 1.55 mm, so that the wire does not touch itself.
+    The first and last turn are closed: they rise by 1.55 mm, so that turns do not touch.
     """
     turn = np.linspace(0, 8, 8 * SEGMENTS + 1)
     height = np.interp(turn, [0, 1, 7, 8], [0, 1.55, 36.95, 38.5])
@@ -234,13 +235,13 @@ def _spring() -> Manifold:
 
 
 def _hook() -> Manifold:
-    """An S of 4 mm wire: two arcs of 240 degrees with a radius of 10 mm, and a straight wire."""
+    """Return an S of 4 mm wire: two arcs of 240 degrees (radius 10 mm) and a straight wire."""
     upper, lower = _arc((10.0, 12.0), 10.0, -60.0, 180.0), _arc((-10.0, -12.0), 10.0, 0.0, -240.0)
     return _rod(np.vstack([upper, lower]), 4.0, WIRE_SEGMENTS)
 
 
 def _chain() -> Manifold:
-    """Four linked rings of 2.5 mm wire with a radius of 8 mm, as one rigid part."""
+    """Return four linked rings of 2.5 mm wire with a radius of 8 mm, as one rigid part."""
     ring = _torus(8.0, 2.5)
     rings = [ring.rotate((90 * (i % 2), 0, 0)).translate((12.0 * i, 0, 0)) for i in range(4)]
     return Manifold.compose(rings)
@@ -250,7 +251,7 @@ def _chain() -> Manifold:
 
 
 def _sheet_bracket() -> Manifold:
-    """An L of 2 mm sheet, 40 x 30 mm and 30 mm wide, bend radius 2 mm; two 5 mm bores per leg."""
+    """Return an L of 2 mm sheet, 40 x 30 mm and 30 mm wide, with two 5 mm bores in each leg."""
     turn = np.radians(np.linspace(270, 180, SEGMENTS // 4 + 1))
     inner = np.stack([4 + 2 * np.cos(turn), 4 + 2 * np.sin(turn)], axis=1)
     outer = np.stack([4 + 4 * np.cos(turn), 4 + 4 * np.sin(turn)], axis=1)
@@ -264,7 +265,7 @@ def _sheet_bracket() -> Manifold:
 
 
 def _gear() -> Manifold:
-    """A spur gear: module 2 mm, 20 teeth, pressure angle 20 degrees, 15 mm wide, bore 12 mm.
+    """Return a spur gear: module 2 mm, 20 teeth, pressure angle 20 degrees, width 15, bore 12 mm.
 
     Flanks are involutes of the base circle, and radial below it; the root has no fillet.
     """
@@ -286,13 +287,13 @@ def _gear() -> Manifold:
 
 
 def _shaft() -> Manifold:
-    """Steps of 12, 20, 25 and 16 mm, 120 mm long in all, chamfered at both ends."""
+    """Return a shaft of 120 mm with diameters of 12, 20, 25 and 16 mm, chamfered at both ends."""
     return _turned([(0, 0), (5, 0), (6, 1), (6, 20), (10, 20), (10, 50), (12.5, 50), (12.5, 90),
                     (8, 90), (8, 119), (7, 120), (0, 120)])  # fmt: skip
 
 
 def _cable_clip() -> Manifold:
-    """A C of 12 x 2 mm, open upwards by 80 degrees, on a foot of 24 x 2 mm with a 4 mm bore."""
+    """Return a C of 12 x 2 mm, open upwards by 80 degrees, on a 24 x 2 mm foot with a 4 mm bore."""
     turn = np.radians(np.linspace(130, 410, SEGMENTS + 1))
     arc = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     ring = CrossSection([[*(6 * arc).tolist(), *(4 * arc[::-1]).tolist()]]).translate((0, 5))
@@ -302,7 +303,7 @@ def _cable_clip() -> Manifold:
 
 
 def _bottle() -> Manifold:
-    """60 mm wide, 160 mm high, filled and closed: a rounded foot, a shoulder, a neck of 26 mm."""
+    """Return a full bottle, 60 mm wide and 160 mm high, with a shoulder and a neck of 26 mm."""
     foot = [(26 + 4 * np.sin(a), 4 - 4 * np.cos(a)) for a in np.linspace(0, np.pi / 2, 6)]
     rise = np.linspace(0, 1, 13)
     shoulder = [(30 - 17 * (s * s * (3 - 2 * s)), 95 + 35 * s) for s in rise]

@@ -1,1 +1,1 @@
-"""Programs that made figures, worlds and pictures of docs/: `python -m studies.NAME --help`."""
+"""Programs that make figures, worlds and pictures of docs/: `python -m studies.NAME --help`."""

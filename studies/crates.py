@@ -1,4 +1,4 @@
-"""Crates as a CAD system would export them, built from a few numbers that tests know."""
+"""Crates as a CAD system would export them, built from a few known dimensions."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +12,9 @@ from graycast.world.scene import Bin
 
 @dataclass(frozen=True)
 class Crate:
-    """Leaning walls of even thickness, a rim around the top, bars under the floor.
+    """A crate with leaning walls of constant thickness, a rim at the top and bars under the floor.
 
-    Lengths in metres; `inner_m` is the floor's length and width, and the depth.
+    Lengths are in metres. `inner_m` is the length and width of the floor, and the depth.
     """
 
     inner_m: tuple[float, float, float] = (0.36, 0.26, 0.14)
@@ -53,7 +53,7 @@ class Crate:
         return trimesh.boolean.difference([body, room], engine="manifold")
 
     def write(self, path: Path, *, unit_m: float = 1e-3, turn: np.ndarray | None = None) -> Path:
-        """Write the crate in some unit, with a shifted origin and turned by a rotation."""
+        """Write the crate in the given unit, with its origin shifted and rotated by `turn`."""
         solid = self.solid()
         solid.apply_translation((0.1, 0.2, 0.05))
         if turn is not None:

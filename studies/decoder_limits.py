@@ -6,8 +6,8 @@ python -m studies.decoder_limits periods       error rate against coverage in we
 python -m studies.decoder_limits sigma         error over sigma, over modulation
 python -m studies.decoder_limits all
 
-The scene is a map of projector places in closed form: a leaning wall, and in front of it a ball, a
-box and bars of a few pixels, each with a step of several periods.
+The scene is a map of projector columns in closed form: a tilted wall, and in front of it a ball, a
+box and bars that are 1 to 6 pixels wide. At their edges, the map jumps by several periods.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from .projected import LEVELS, frames_of, share_of_white
 
 SHAPE = (192, 256)
 WIDTH_PX = 512
-WRONG_PX = 1.0  # a place with a larger error is wrong; half a cell of a Gray code is 0.5
+WRONG_PX = 1.0  # a column with a larger error is wrong; half a cell of a Gray code is 0.5
 USUAL = DecodeSpec(min_contrast=0.005)
 
 
@@ -53,7 +53,7 @@ def stack(
     levels: Levels = LEVELS,
     share: Float[np.ndarray, "n h w"] | None = None,
 ) -> UInt16[np.ndarray, "n h w"]:
-    """Return frames of the scene with noise, clipped at saturation as by a camera."""
+    """Return frames of the scene with noise, clipped at the saturation of the camera."""
     place = surface()
     if share is None:
         share = share_of_white(code, place, disc_px=disc_px)
@@ -65,7 +65,7 @@ def stack(
 def scores_of(
     code: Code, frames: UInt16[np.ndarray, "n h w"], *, levels: Levels = LEVELS
 ) -> tuple[float, float, CodeMap]:
-    """Return the decoded share of all pixels, the wrong share of these, and the codes."""
+    """Return the share of decoded pixels, the share of these that are wrong, and the codes."""
     place = surface()
     codes = decode(frames, code, USUAL, levels)
     known = codes.reason == Reason.DECODED
@@ -86,7 +86,7 @@ SHINY_CODES = {
 
 
 def shiny(*, strength: float) -> Float[np.ndarray, "h w"]:
-    """Return lognormal light [DN] of brushed metal, at 3 sigma `strength` times the range."""
+    """Return the light [DN] of brushed metal: lognormal, `strength` times the range at 3 sigma."""
     rng = np.random.default_rng(5)
     texture = gaussian_filter(rng.normal(size=SHAPE), (1.0, 12.0)) + gaussian_filter(
         rng.normal(size=SHAPE), 9.0
@@ -99,7 +99,7 @@ def saturation(args: argparse.Namespace) -> None:
     print("code, white light at 3 sigma / range: clipped %, decoded %, wrong % of these")
     for name, code in SHINY_CODES.items():
         for strength in (1.5, 4.0, 12.0):
-            # The projector is out of focus, so the peak of the phases stays below the white level.
+            # The projector is out of focus, so the cosines' maximum is below the white level.
             frames = stack(code, white_dn=shiny(strength=strength), disc_px=3.0)
             top = (frames >= LEVELS.saturation_dn).any(axis=0).mean()
             decoded, wrong, codes = scores_of(code, frames)
@@ -142,7 +142,7 @@ PHASES_ALONE = {
 def textured(
     code: Code, *, gamma: float, levels: Levels = LEVELS, white_dn: float = 1500.0
 ) -> UInt16[np.ndarray, "n h w"]:
-    """Return a stack of the scene with a printed texture and a projector of nonlinear response."""
+    """Return a stack of the scene with a printed texture; `gamma` is the projector's exponent."""
     rng = np.random.default_rng(8)
     albedo = 0.25 + 0.75 * gaussian_filter(rng.random(SHAPE) > 0.5, 1.0, output=float)
     share = share_of_white(code, surface()) ** gamma
@@ -175,7 +175,7 @@ WEAK_DN = (60.0, 120.0, 240.0, 480.0)
 
 
 def periods(args: argparse.Namespace) -> None:
-    """Count places that are wrong by half a period. `--power`: of the projector's response."""
+    """Count columns with errors above half a period; `--power` is the projector's exponent."""
     place = surface()
     print("code, white light: modulation, decoded %, wrong % of these, settled %, wrong % of these")
     for name, code in WEAK_CODES.items():
@@ -206,10 +206,10 @@ SIGMA_CODES = {
 
 
 def sigma(args: argparse.Namespace) -> None:
-    """Print the root mean square of error over sigma, of places in the right period.
+    """Print the root mean square of error over sigma, for pixels decoded in the right period.
 
     A camera pixel covers 1.5 projector pixels, and the projector blurs by a disc. Noise is the only
-    error; in a second case, each frame of a Gray code also has 4 % of light of its own.
+    error. In a second case, each frame of a Gray code also has a random error of 4 % of the light.
     """
     print(
         "code, disc: modulation of the finest stripes; error over sigma, 60, 300, 3000 DN of white"

@@ -2,10 +2,10 @@
 
 python -m studies.draw_other_world     writes configs/paper/other_world/
 
-Detectors that were trained in one simulated world are scored in this one, to which nothing was
-tuned. It represents a real cell whose kind is known to the makers of the simulation, but not its
-figures. It is drawn once: after a change here, the world differs, and earlier figures cannot be
-compared.
+Detectors that were trained in one simulated world are scored in this one, for which no setting was
+tuned. It stands for a real cell whose kind is known when the simulation is set up, but not its
+numbers. It is drawn once. A change here makes another world, whose figures cannot be compared with
+earlier ones.
 
 Values are drawn uniformly unless stated otherwise (log: uniform in the logarithm):
 
@@ -154,7 +154,7 @@ def random_lamp(rng: np.random.Generator) -> dict[str, Any]:
 def random_print(
     texture: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a print with another ink (exponent and gain of each band) and paper grain."""
+    """Return the texture with other inks (exponent and gain of each band) and paper grain."""
     share = (texture / 255.0) ** rng.uniform(0.85, 1.2, 3) * rng.uniform(0.8, 1.0, 3)
     grain = cv2.GaussianBlur(rng.standard_normal(texture.shape[:2]), (0, 0), 1.5)
     share *= 1 + 0.02 * (grain / grain.std())[..., None]

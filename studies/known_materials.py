@@ -2,9 +2,10 @@
 
 python -m studies.known_materials out/known
 python -m studies.known_materials out/known --classes
+python -m studies.known_materials out/known --rig like-zivid-2plus-m60 --distance 0.63
 
 Each scan shows a heap of 20 built-in metal parts with the preset in a matt grey bin, whose
-reflectance of 0.5 is the reference. A folder that exists is continued.
+reflectance of 0.5 is the reference. Scans that exist in the folder are used again.
 """
 
 import argparse
@@ -29,7 +30,8 @@ from graycast.rig.pair import Rig
 from graycast.world.parts import MATERIALS
 
 GREY = 0.5
-APART_PX = 4  # The reference keeps this distance from the parts, whose light reaches the bin.
+SEED = 5
+APART_PX = 4  # The reference is this far from parts, since their light reaches the bin.
 NAMES = (
     "aluminium-cast", "steel", "zinc", "copper", "brass", "cast-iron", "steel-black-oxide", "rust",
     "plastic", "abs-black", "pom-black", "pom-white", "rubber", "paper", "cardboard",
@@ -39,10 +41,12 @@ HEADINGS = ["material", "kind", "roughness", "fitted [95 %]", "base colour", "fi
 CLASS_HEADINGS = ["material", "classes", "pixels of parts", "right", "pixels of the bin", "right"]
 
 
-def scanned(name: str, rig: str, folder: Path) -> Path:
-    """Make the scan of a material, if it does not exist; return its scene."""
+def configuration(
+    name: str, rig: str, distance_m: float | None = None, *, depth: int = 4
+) -> gc.Config:
+    """Return the cell of a material; with a depth of 1, no part lights another one."""
     matt = {"base_color": (GREY,) * 3, "specular": 0.0, "roughness": 1.0}
-    config = gc.Config(
+    return gc.Config(
         parts=(gc.PartSection(builtin="metal_workpiece_1", material=name),),
         count=20,
         rig=rig,
@@ -50,10 +54,16 @@ def scanned(name: str, rig: str, folder: Path) -> Path:
         bin={"inner_m": (0.30, 0.22, 0.08), "material": matt},
         table=matt,
         store={"frames": True},
-        render={"denoise": False},
+        render={"denoise": False, "depth": depth},
+        view={"distance_m": distance_m},
     )
+
+
+def scanned(name: str, rig: str, distance_m: float | None, folder: Path) -> Path:
+    """Make the scan of a material, if it does not exist; return its scene."""
     out = folder / f"{rig}-{name}"
-    gc.generate(gc.load_cell(config), out, scenes=1, seed=5)
+    config = configuration(name, rig, distance_m)
+    gc.generate(gc.load_cell(config), out, scenes=1, seed=SEED)
     return out / "train" / "000000"
 
 
@@ -61,19 +71,19 @@ def fitted(scene: Path) -> tuple[MaterialFit, Rig]:
     """Fit the material of the parts of a scene, with the matt bin as the reference."""
     scan = open_scan(scene / "frames")
     parts = read_masks(sorted((scene / "mask_sl").glob("000000_*.png")))
-    scale = scale_of(scan.observations(_away_from(parts)), GREY)
+    scale = scale_of(scan.observations(away_from(parts)), GREY)
     return fit_material(scan.observations(parts), scale=scale, seed=0), scan.scanner.rig
 
 
-def _away_from(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+def away_from(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     disc = np.ones((2 * APART_PX + 1,) * 2, dtype=np.uint8)
     return cv2.dilate(parts.astype(np.uint8), disc) == 0
 
 
-def row_of(name: str, rig: str, folder: Path) -> list[str]:
-    """Return the true and the fitted numbers of a material, or the sentence that refuses it."""
+def row_of(name: str, rig: str, distance_m: float | None, folder: Path) -> list[str]:
+    """Return the true and the fitted numbers of a material, or the error of the fit."""
     material = MATERIALS[name].material
-    scene = scanned(name, rig, folder)
+    scene = scanned(name, rig, distance_m, folder)
     try:
         fit, own = fitted(scene)
     except GraycastError as error:
@@ -87,12 +97,12 @@ def row_of(name: str, rig: str, folder: Path) -> list[str]:
     return [name, fit.kind, f"{material.roughness:g}", cells[0], f"{color:.3f}", cells[1]]
 
 
-def division_of(name: str, rig: str, folder: Path) -> list[str]:
+def division_of(name: str, rig: str, distance_m: float | None, folder: Path) -> list[str]:
     """Divide a scan without masks; compare the class of the reference with the true masks."""
-    scene = scanned(name, rig, folder)
+    scene = scanned(name, rig, distance_m, folder)
     scan = open_scan(scene / "frames")
     parts = read_masks(sorted((scene / "mask_sl").glob("000000_*.png")))
-    white = _away_from(parts)
+    white = away_from(parts)
     observations = scan.observations()
     scale = scale_of(scan.observations(white), GREY)
     division = divide(observations, scale=scale, seed=0)
@@ -111,11 +121,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="A folder for the scans.")
     parser.add_argument("--rig", default="like-phoxi-m", help="The preset of the scanner.")
+    parser.add_argument(
+        "--distance",
+        type=float,
+        metavar="METRES",
+        help="The distance of the scanner. Without it, the lines of sight of camera and projector "
+        "meet in the bin, or at the end of the working range.",
+    )
     parser.add_argument("--materials", nargs="+", default=NAMES, metavar="NAME", help="Presets.")
     parser.add_argument("--classes", action="store_true", help="Divide the scans without masks.")
     arguments = parser.parse_args()
     row = division_of if arguments.classes else row_of
-    rows = [row(name, arguments.rig, arguments.folder) for name in arguments.materials]
+    rows = [
+        row(name, arguments.rig, arguments.distance, arguments.folder)
+        for name in arguments.materials
+    ]
     print(markdown_table(CLASS_HEADINGS if arguments.classes else HEADINGS, rows))
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 WIDTH_PX, HEIGHT_PX = 700, 242
-# Rectangles as left, right, top, bottom [px]. The rail lies inside the frame.
+# Rectangles: left, right, top, bottom [px]. The rail is inside the frame.
 AREAS = {
     "plate": [(174, 380, 49, 242)],
     "frame": [(76, 174, 52, 242), (380, 532, 48, 208)],
@@ -21,7 +21,7 @@ AREAS = {
 
 
 def main() -> None:
-    """Write a PNG for each surface."""
+    """Write a mask as PNG for each surface."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path, help="The folder of the masks.")
     out = parser.parse_args().out

@@ -1,9 +1,9 @@
-"""The section on metal in docs/how-to/stacks.md: what guards cost, and what they remove.
+"""The section on metal in docs/how-to/stacks.md: points lost by guards, and errors removed.
 
 python -m studies.metal_stack ../shared/data/stacks/xema_metal
 
-The stack shows machined metal under phases of both axes. The rows check the columns: a point is
-wrong if it is off its epipolar line by more than 2 px and by more than three standard deviations.
+The stack shows machined metal with phases along both axes. The decoded rows check the columns: a
+point is wrong if it is off its epipolar line by more than 2 px and three standard deviations.
 """
 
 import argparse
@@ -42,7 +42,7 @@ def real(folder: Path, rig: Rig, min_visibility: float) -> str:
 
 
 def main() -> None:
-    """Print the figures."""
+    """Print the figures of the section."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="The folder of the real stack.")
     folder = parser.parse_args().folder

@@ -2,10 +2,10 @@
 
 python -m studies.missing_at_edges
 
-The first row counts the five real scans of a PhoXi, with their draft masks. The other rows are for
+The first row is for the five real scans of a PhoXi, with their draft masks. The other rows are for
 simulated scans in the same geometry: household parts of many colours in the real bin, scanned with
 the preset `like-phoxi-m` and with changes of its settings against mixed pixels. Scans and meshes
-are in ../shared/data, which is no part of the project.
+are in ../shared/data, which does not belong to the project.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from graycast.world.drop import DropLimits, drop
 from .phoxi_twin import DATA, REAL, T_BIN_CAM, painted_part, refuse_without_data, scanner
 
 PARTS = 16
-ERODED_PX = 3  # width of the strip along the outline of each part that "inside" leaves out
+ERODED_PX = 3  # width of the strip along each part's outline that does not count as "inside"
 # Changes of the preset's filters and decoder.
 CHANGES: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "preset: `edge_px` 1, `island_px` 30": ({}, {}),
@@ -45,7 +45,7 @@ CHANGES: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
 
 @dataclass(slots=True)
 class Count:
-    """Sums over scenes: of pixels in all, without depth, and with wrong depth."""
+    """Numbers of all pixels, of pixels without depth and with wrong depth, summed over scenes."""
 
     pixels: int = 0
     missing: int = 0
@@ -64,7 +64,7 @@ class Count:
 
 
 class Row:
-    """Counts of the parts, of their inside and of the whole picture for one kind of scan."""
+    """Counts for whole parts, for their inside and for the whole picture, for one kind of scan."""
 
     def __init__(self) -> None:
         self.whole, self.inside, self.picture = Count(), Count(), Count()
@@ -88,7 +88,7 @@ class Row:
         self.flying += steps.flying
 
     def cells(self, *, truth: bool) -> list[str]:
-        """Return the figures of the table; wrong depths only if the truth is known."""
+        """Return the figures of the table; those of wrong depth are empty without `truth`."""
         shares = [100 * one.missing / one.pixels for one in (self.whole, self.inside)]
         strip = Count(*(getattr(self.whole, k) - getattr(self.inside, k) for k in Count.__slots__))
         shares.append(100 * strip.missing / strip.pixels)
@@ -129,7 +129,7 @@ def real() -> Row:
 
 
 def simulated(scenes: int, samples: int) -> dict[str, Row]:
-    """Return the counts of each change; all of them measure the same pictures."""
+    """Return the counts for each change of settings; all use the same rendered pictures."""
     known = replace(scanner(), filters=preset("like-phoxi-m", "small").filters)
     rows = {name: Row() for name in CHANGES}
     for seed, rendering in _renderings(known, scenes, samples):

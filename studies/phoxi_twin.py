@@ -4,15 +4,15 @@ python -m studies.phoxi_twin --out out/phoxi
 graycast generate out/phoxi/twin.yaml --out out/phoxi/twin
 graycast detector study out/phoxi/study.yaml --out out/phoxi/study
 
-The first command writes the twin's configuration and the scans as a dataset, and `cell.yaml` for
-`graycast real twin`; the last one trains in the twin on four inputs and scores on the twin and on
-the scans. `rescanned.yaml` is the study of the page's rescans, of 140 scenes:
+The first command writes the twin's configuration, the scans as a dataset, and `cell.yaml` for
+`graycast real twin`. The last one trains in the twin on four inputs, and scores on the twin and on
+the scans. `rescanned.yaml` is the study of the page's rescans, for 140 scenes:
 
 graycast rescan out/phoxi/twin/train --rig out/phoxi/rig.yaml --out out/phoxi/rescanned
 graycast rescan out/phoxi/twin/train --rig out/phoxi/rig.yaml --materials out/phoxi/bin.yaml \\
     --out out/phoxi/rescanned_bin
 
-Bin, household meshes and scans are in ../shared/data, which is no part of the project.
+Bin, household meshes and scans are in ../shared/data, which does not belong to the project.
 """
 
 import argparse
@@ -46,8 +46,8 @@ REAL = DATA / "phoxi"
 # Measured values of the device (README.md of the scans); the projector is left of the camera.
 BASELINE_M, TOE_IN_DEG, NEAR_M, FAR_M = 0.235, 8.4, 0.6, 1.0
 FX_PX, CX_PX, CY_PX, SIZE_PX = 552.5, 255.5, 191.75, (516, 386)
-# Tangents of the projector's outermost rays. In all scans depth ends along a straight line at the
-# left, right and top; at the bottom, the camera's picture ends first.
+# Tangents of the projector's outermost rays. In all scans, depth ends at straight lines on the
+# left, on the right and at the top. At the bottom, the camera's picture ends first.
 LIT_X, LIT_Y = (-0.4161, 0.4225), (-0.3135, 0.4)
 T_BIN_CAM = [
     [-0.989165430, 0.00623583812, 0.146672650, -0.120568007],
@@ -144,8 +144,8 @@ def configuration(meshes: Path, shapes: int) -> dict:
         "bin": {
             "mesh": str(REAL / "bin.obj"),
             "unit": "m",
-            # This is so dark and smooth that steep walls lose depth, like 40 to 90 % of their
-            # pixels in the scans: a detector learns whether a hole means a part's edge or a wall.
+            # The bin is so dark and smooth that steep walls lose depth. In the scans, they lose it
+            # in 40 to 90 % of their pixels. A detector learns to tell such holes from edges.
             "material": {"base_color": [0.02, 0.02, 0.022], "roughness": 0.4},
         },
         "exposure": {"factors": [1.0, 6.0]},
@@ -170,7 +170,7 @@ def configuration(meshes: Path, shapes: int) -> dict:
 
 
 def write_bent_bin(camera: Optics, scans: list[int], file: Path) -> list[float]:
-    """Write the bin with the bulging walls of these scans; return the camera's pose by rows."""
+    """Write the bin with walls bent as in these scans; return the camera's pose, row by row."""
     plain = resolve_bin(BinSection(mesh=REAL / "bin.obj", unit="m"), REAL)[0]
     views = []
     for i in scans:
@@ -185,14 +185,14 @@ def write_bent_bin(camera: Optics, scans: list[int], file: Path) -> list[float]:
 def cell_to_fit(known: dict, cartons: list[Path], bin_file: Path, T_world_cam: list[float]) -> dict:
     """Return the cell for `graycast real twin`: preset values to fit, and pictures of low noise.
 
-    The search simulates the scans' own scenes; the parts are for scenes that are generated later.
-    A third of its parts are printed cartons, mostly white, as in the real scans, where noise on
-    white paper is a quarter of that on the dark bin. Most parts keep their own colours. They are in
-    the middle, cover a quarter of the picture and are mostly flat, as in the scans: with little
-    friction, hardly any carton leans on others. The walls have the slopes of the real walls. All
-    this matters, since a classifier sees the share of floor squares, their slope and brightness.
+    The search simulates the scenes of the scans; the parts are for scenes that are generated later.
+    They are like those of the scans: a third are printed cartons, mostly white (noise on white
+    paper is a quarter of that on the dark bin), and most parts keep their own colours. They are in
+    the middle, cover a quarter of the picture and mostly lie flat: with little friction, hardly any
+    carton leans on others. The walls have the slopes of the real walls. This is necessary since a
+    classifier sees the share of floor squares, their slope and their brightness.
 
-    The light is the same in all scans; random lamps would add noise that the scanner does not have.
+    All scenes have the same light, since random lamps would add noise that the scanner lacks.
     """
     fitted = {key: value for key, value in known.items() if key not in ("exposure", "decode")}
     domain = known["domain"] | {"lamps": None, "environment": None}
@@ -214,9 +214,9 @@ def write_cartons(meshes: Path, count: int) -> list[Path]:
 
 
 def every_second_pixel(known: Scanner) -> Scanner:
-    """Return the scanner with pixels that are sensitive in a quarter of their area.
+    """Return the scanner with pixels of which only a quarter of the area is sensitive.
 
-    The scans hold every second pixel of the device; its lens blurs by more than a device pixel.
+    The scans contain every second pixel of the device. Its lens blurs by more than one such pixel.
     """
     camera = replace(known.rig.camera, fill_factor=0.25, psf_px=0.35)
     return replace(known, rig=replace(known.rig, name="phoxi-cell", camera=camera))
@@ -236,7 +236,7 @@ def painted_part(file: Path, unit: str, rng: np.random.Generator) -> dict:
 def write_real(out: Path) -> None:
     """Write the real scans as a dataset of one class, at the size of their depth.
 
-    Depth has every second pixel of the device's picture, so colour and masks are halved.
+    Depth has every second pixel of the device's picture, so colour and masks are made half as wide.
     """
     source = out / "real_pictures"
     for folder in (source, out / "real"):  # remove the results of an earlier call

@@ -1,4 +1,4 @@
-"""The pictures of docs/how-to/report.md and docs/how-to/live.md: pages in Chromium, small.
+"""The pictures of docs/how-to/report.md and docs/how-to/live.md: small pictures of pages.
 
 python -m studies.pictures report out/demo_page    the page of the report of docs/how-to/report.md
 python -m studies.pictures replay out/picks        the picks of docs/how-to/report.md
@@ -35,7 +35,7 @@ REPLAY_PX, REPLAY_MS, STEP_S = 420, 200, 0.4  # The film is twice as fast as the
 
 @contextmanager
 def opened(url: str, size_px: tuple[int, int]) -> Iterator[Page]:
-    """Open a page in a window of the given size, in light colours."""
+    """Open a page in Chromium, in a window of the given size and with light colours."""
     with sync_playwright() as running:
         browser = running.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         width, height = size_px
@@ -60,7 +60,7 @@ def press(page: Page, *keys: str) -> None:
 
 
 def seek(page: Page, time_s: str) -> None:
-    """Set the time of a replay to a number that JavaScript computes, and wait for its picture."""
+    """Set the time of a replay (a JavaScript expression), and wait until its picture is drawn."""
     page.evaluate(f"""async () => {{
         const slider = document.getElementById("time");
         slider.value = {time_s};
@@ -110,7 +110,7 @@ def replay(folder: Path) -> None:
 
 
 def attempts(page: Page) -> Iterator[Image.Image]:
-    """Yield pictures of all attempts of the bin that is open, in equal steps of time."""
+    """Yield pictures of all attempts in the open bin, at equal steps of time."""
     for number in range(page.evaluate("Graycast.opened().bin.attempts.length")):
         key = f"{ATTEMPT.split('/')[0]}/{number}"
         page.evaluate("(key) => { location.hash = `#/${key}`; }", key)
@@ -134,7 +134,7 @@ def live() -> None:
 
 
 def film(page: Page) -> list[Image.Image]:
-    """Film an exposure, then a frozen picture next to it, then a move of the rig."""
+    """Film a change of exposure, then a frozen picture beside it, then a movement of the rig."""
     frames = [shot(page)]
     page.click('[data-view="reasons"]')
     for target in ("0.4", "0.1"):

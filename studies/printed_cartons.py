@@ -1,8 +1,8 @@
-"""Printed cartons and blister cards drawn by a seed: flat, mostly white, with text and pictures.
+"""Random printed cartons and blister cards: flat, mostly white, with text and pictures.
 
-Scanners see white paper with little noise and its print with more, so a heap without such faces
-has another mix of noise than one with them. A carton is one box in metres with a texture of six
-faces, and copies no real object.
+Scanners measure white paper with little noise and dark print with more, so scans of a heap without
+cartons have another distribution of noise. A carton is a box in metres with a texture of six faces,
+and does not copy a real object.
 """
 
 import cv2
@@ -12,7 +12,7 @@ from PIL import Image
 
 FACE_PX = 384  # the longer edge of a face in the texture
 _WHITE_SHARE = 0.75
-# For each face: the axis of its normal, its side, and the axes of its picture.
+# For each face: the axis and sign of its normal, and the axes of its picture.
 _FACES = [(0, 1, 1, 2), (0, -1, 2, 1), (1, 1, 2, 0), (1, -1, 0, 2), (2, 1, 0, 1), (2, -1, 1, 0)]
 
 
@@ -49,7 +49,7 @@ def printed_carton(seed: int) -> trimesh.Trimesh:
 def _print(
     rng: np.random.Generator, base: np.ndarray, wide_px: int, high_px: int, wide_m: float
 ) -> np.ndarray:
-    """Draw one face with its proportions in the world: colour fields, text lines, a bar code."""
+    """Draw one face in its true proportions: fields of colour, lines of text, a bar code."""
     picture = np.empty((high_px, wide_px, 3), dtype=np.uint8)
     picture[:] = base
     px_per_m = wide_px / wide_m

@@ -19,7 +19,7 @@ from PIL import Image, ImageDraw, ImageFont
 from graycast.world.parts.builtin import SALT_BOX_MM, TOOTHPASTE_MM
 
 Real = float | int
-Box = tuple[Real, Real, Real, Real]  # left, top, right, bottom as fractions of a panel
+Box = tuple[Real, Real, Real, Real]  # left, top, right and bottom, as shares of a panel
 Colour = tuple[int, int, int]  # 8-bit sRGB
 
 _BLEED_PX = 3  # Each panel's border is repeated outwards, so that filtering picks up no neighbour.
@@ -54,7 +54,7 @@ def pack(
 
 @final
 class _Panel:
-    """A drawing surface of a given size [mm], drawn at twice its resolution for smooth edges."""
+    """A picture of a given size [mm], drawn at twice its resolution for smooth edges."""
 
     def __init__(self, width_mm: float, height_mm: float, px_per_mm: float, colour: Colour):
         self.size = (round(width_mm * px_per_mm), round(height_mm * px_per_mm))
@@ -80,7 +80,7 @@ class _Panel:
         self.draw.polygon([(x * w, y * h) for x, y in points], fill=colour)
 
     def text(self, box: Box, text: str, colour: Colour, face: str = "Sans-Bold") -> None:
-        """Draw text that is centred in a box and as large as fits."""
+        """Draw text in the centre of a box, as large as fits."""
         left, top, right, bottom = self._px(box)
         probe = _font(face, 100.0).getbbox(text)
         wide, high = probe[2] - probe[0], probe[3] - probe[1]
@@ -91,7 +91,7 @@ class _Panel:
         self.draw.text(at, text, fill=colour, font=font)
 
     def lines(self, box: Box, lines: Sequence[str], colour: Colour, face: str = "Sans") -> None:
-        """Draw small print: lines of one size, flush left, that fill a box from the top."""
+        """Draw small text: left-aligned lines of one size that fill a box from the top."""
         left, top, right, bottom = self._px(box)
         probe = _font(face, 100.0)
         widest = max(probe.getlength(line) for line in lines)
@@ -101,7 +101,7 @@ class _Panel:
             self.draw.text(at, line, fill=colour, font=_font(face, size))
 
     def barcode(self, box: Box, seed: int) -> None:
-        """Draw black bars of random width on white, and digits that mean nothing."""
+        """Draw a bar code without meaning: black bars of random width on white, and digits."""
         rng = np.random.default_rng(seed)
         x0, y0, x1, y1 = box
         self.fill(box, (255, 255, 255))
@@ -235,7 +235,7 @@ def toothpaste_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
 
 
 def spray_panels() -> dict[str, UInt8[np.ndarray, "_ _ 3"]]:
-    """Return the spray bottle's wrap, whose middle is the front, and swatches of its plastics."""
+    """Return the wrap of the spray bottle (its middle is the front) and samples of its plastics."""
     plastic, green, dark, white = (240, 242, 240), (60, 170, 90), (15, 80, 60), (252, 252, 252)
     p = _Panel(*SPRAY_WRAP_MM, 5.8, plastic)
     p.fill((0, 0.2, 1, 0.88), white)

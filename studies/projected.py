@@ -1,4 +1,4 @@
-"""Pictures of a coded projector, in one dimension and in closed form, and their noise."""
+"""Camera frames of a projected code, computed in one dimension in closed form, with noise."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ def two_phases(
     steps: int = 3,
     bits: int | None = None,
 ) -> Code:
-    """Return a code of columns: phases of some periods, and wide Gray bits with inverses."""
+    """Return a code of columns: phases of the given periods, and coarse Gray bits with inverses."""
     if bits is None:
         bits = int(np.ceil(np.log2(width_px / gray_cell_px)))
     phases = [
@@ -56,8 +56,8 @@ def share_of_white(
     Without `row`, `column` is the position along the code's only axis.
 
     A camera pixel covers `camera_px` of the projector's square pixels, and the projector blurs to
-    discs of radius `disc_px`; a value of 0 turns either effect off. Beyond the last pixel it is
-    dark.
+    discs of radius `disc_px`; a value of 0 turns either effect off. There is no light beyond the
+    projector's first and last pixel.
     """
     kernel = _blur(camera_px, disc_px)
     places: dict[Axis, Float[np.ndarray, "h w"]] = {"column": column}
@@ -67,7 +67,7 @@ def share_of_white(
         places = {"row": column}
 
     margin = 4 + len(kernel) // FINE
-    between = {}  # Left sample and fraction of each place, which np.interp would search for again.
+    between = {}  # Sample and fraction of each place, computed once for the interpolation.
     for axis, place_px in places.items():
         last = FINE * (code.size_px(axis) + 2 * margin) - 1
         at = np.clip(FINE * (place_px + margin + 0.5) - 0.5, 0, last)
@@ -111,7 +111,7 @@ def frames_of(
     levels: Levels = LEVELS,
     dtype: type[np.unsignedinteger] = np.uint16,
 ) -> np.ndarray:
-    """Return rounded pictures of light [DN above offset], with the noise of `levels`."""
+    """Return camera frames for light [DN above offset], rounded, with the noise of `levels`."""
     mean = levels.offset_dn + light_dn
     if rng is not None:
         variance = levels.floor_dn2 - 1 / 12 + levels.slope_dn * light_dn
@@ -128,7 +128,7 @@ def crisp(
     bright: float = 200,
     dtype: type[np.unsignedinteger] = np.uint8,
 ) -> np.ndarray:
-    """Return a noiseless stack of a camera whose pixels see whole projector pixels (integers)."""
+    """Return a stack without noise; each camera pixel sees exactly one projector pixel."""
     row = np.zeros(column.shape, dtype=int) if row is None else row
     share = code.render()[:, row, column] / 255
     return np.ascontiguousarray(np.round(dark + (bright - dark) * share)).astype(dtype)

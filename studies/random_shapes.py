@@ -1,8 +1,8 @@
-"""Household-like shapes drawn by a seed, for clutter that is neither a carton nor a machine part.
+"""Random shapes like household objects, for clutter besides cartons and machine parts.
 
-Four kinds: forked limbs that meet in a joint (as tools and toys do), arches with or without a
-handle, flasks, and cards that carry a dome. A shape is one closed solid in metres, as long as a
-hand, and copies no real object.
+There are four kinds: limbs that meet in a joint (like tools and toys), arches with or without a
+handle, flasks, and cards with a dome. A shape is one closed solid in metres, about as long as a
+hand, and does not copy a real object.
 """
 
 from itertools import pairwise
@@ -88,7 +88,7 @@ def _card(rng: np.random.Generator) -> Manifold:
 
 
 def _limb(path_mm: np.ndarray, from_mm: float, to_mm: float, thick_mm: float) -> Manifold:
-    """Return a bar along a path in the plane z = 0 whose half width changes linearly."""
+    """Return a bar along a path in the plane z = 0; its half width changes linearly."""
     knots = [
         Manifold.cylinder(thick_mm, radius_mm, radius_mm * 0.8, SEGMENTS, True).translate((x, y, 0))
         for (x, y), radius_mm in zip(

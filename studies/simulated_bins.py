@@ -1,4 +1,4 @@
-"""Simulated scans of bins with remaining parts and lost walls: docs/measurements/fit-bin.md.
+"""Simulated scans of bins with parts and with walls without depth: docs/measurements/fit-bin.md.
 
 python -m studies.simulated_bins --bins 20             boxes
 python -m studies.simulated_bins --bins 20 --crates    crates with leaning walls
@@ -25,7 +25,7 @@ from graycast.world.scene import EMPTY_LAYOUT, bin_of
 from .crates import Crate
 from .smaller import shrunk
 
-LOST = 0.30  # share of the inner walls' pixels
+LOST = 0.30  # share of the inner walls' pixels that lose their depth
 
 
 def small_cell(size_px: tuple[int, int] = (344, 258), **words: Any) -> Cell:
@@ -39,7 +39,7 @@ def small_cell(size_px: tuple[int, int] = (344, 258), **words: Any) -> Cell:
 
 
 def random_cell(rng: np.random.Generator, folder: Path | None) -> tuple[Cell, Crate]:
-    """Return a bin of random size and look, seen at up to 30 degrees of tilt, with 3 to 8 parts.
+    """Return a random bin with 3 to 8 parts, viewed with up to 30 degrees of tilt.
 
     With a folder for its file, the bin is a mesh with leaning walls, else a box. The returned crate
     has the same walls.
@@ -67,7 +67,7 @@ def random_cell(rng: np.random.Generator, folder: Path | None) -> tuple[Cell, Cr
 
 
 def measured(cell: Cell, renderer, *, seed: int) -> BinView:
-    """Simulate a scan of the bin with its remaining parts."""
+    """Simulate a scan of the bin with its parts."""
     shot = make_scene(cell, 0, seed=seed, renderer=renderer)
     return BinView(
         name="simulated", camera=cell.scene.rig.camera, depth_m=shot.sample.scanner_depth.depth_m
@@ -99,9 +99,9 @@ def wall_pixels(cell: Cell, crate: Crate, view: BinView, renderer, *, seed: int)
 def lose_walls(
     depth_m: np.ndarray, label: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """Remove depth from whole walls in random order, and from a part of the last, until `LOST`.
+    """Remove the depth of walls in random order until the share `LOST` of their pixels is gone.
 
-    The part is one run of columns or rows, along the longer side of the wall in the picture.
+    The last wall loses only a part: adjacent columns or rows, counted along its longer side.
     """
     lost, wanted = np.zeros(label.shape, dtype=bool), LOST * (label > 0).sum()
     for number in rng.permutation(4) + 1:
@@ -143,7 +143,7 @@ def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[s
 def wrong_by(
     estimate: Float[np.ndarray, "4 4"], true: Float[np.ndarray, "4 4"]
 ) -> tuple[float, float]:
-    """Return the distance [m] and the angle [deg] between two bins, in the camera's frame."""
+    """Return the distance [m] and the angle [deg] between two poses of a bin."""
     T_a, T_b = inverse(estimate), inverse(true)
     cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
     off_m = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))

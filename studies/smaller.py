@@ -1,4 +1,4 @@
-"""Cameras and projectors with fewer pixels, for scenes that are rendered many times."""
+"""Cameras and projectors with fewer pixels, so that rendering takes less time."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ from graycast.rig.optics import Optics
 
 
 def shrunk(optics: Optics, width_px: int, height_px: int) -> Optics:
-    """Return a device with the same field on fewer pixels."""
+    """Return a device with the same field of view and fewer pixels."""
     return replace(
         optics,
         width_px=width_px,

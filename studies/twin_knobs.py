@@ -1,11 +1,11 @@
-"""The gain of a twin by each part of the fitted scanner, for docs/measurements/twin.md.
+"""The gain of a twin from each part of the fitted scanner, for docs/measurements/twin.md.
 
 python -m studies.phoxi_twin --scans 0 1 2 --out out/phoxi
 python -m studies.twin_knobs out/phoxi/cell.yaml --out out/phoxi/knobs.json
 
-The first search has all parameters; in each further one, one part is off and not a parameter.
-All have the code of 12 px, the same seed and the same number of trials. The classifier judges the
-scans that were fitted and those kept aside, in several draws of the twins' noise.
+The first search fits all parameters. In each other search, one part of the scanner is off, and its
+parameter is not fitted. All use the code of 12 px, the same seed and the same number of trials.
+Classifiers compare each twin with the fitted scans and with the others, for several seeds of noise.
 """
 
 import argparse
@@ -37,7 +37,7 @@ from graycast.real.twin.stage import LitScene, light_scenes, missing_places
 from .phoxi_twin import REAL
 
 FITTED, ASIDE = (0, 1, 2), (3, 4)
-OFF = 0.0  # This value turns each of these parameters off.
+OFF = 0.0  # This value turns off the effect of each parameter below.
 KNOBS = (
     "projector.falloff",
     "speckle_contrast",
@@ -82,7 +82,7 @@ def open_bench(cell: Cell) -> Bench:
 
 
 def bench_of(cell: Cell, scans: list[DepthScan], lit: tuple[LitScene, ...]) -> Bench:
-    """Measure the real scans, whose first ones are fitted."""
+    """Measure the real scans; the first ones are fitted, and the others kept aside."""
     own, aside = scans[: len(FITTED)], scans[len(FITTED) :]
     places = missing_places(lit[: len(FITTED)], own)
     step_m = depth_step_m(own)
@@ -102,7 +102,7 @@ def bench_of(cell: Cell, scans: list[DepthScan], lit: tuple[LitScene, ...]) -> B
 def search_without(
     bench: Bench, off: Collection[str], *, trials: int, draws: int
 ) -> dict[str, Any]:
-    """Search with some knobs off, and judge what was found."""
+    """Search with some parameters off, and compare the twin found with the scans."""
     gone = [p for p in bench.parameters if p.key in off]
     fit = search(
         with_values(bench.start, gone, dict.fromkeys(off, OFF)),
@@ -146,7 +146,7 @@ def judge(
 
 
 def table_of(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the page's table in Markdown."""
+    """Return the table of the page as Markdown."""
     columns = [(name, place) for name in ("fitted", "aside") for place in PLACES]
     heads = ["off", "misfit", "met", *(f"{place}, {name}" for name, place in columns)]
     rows = []

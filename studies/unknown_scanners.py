@@ -1,10 +1,11 @@
-"""Twins of unknown scanners, for docs/measurements/twin.md: each is drawn by a seed and scanned.
+"""Twins of random, hidden scanners, for docs/measurements/twin.md.
 
 python -m studies.unknown_scanners --draws 10 --trials 500
 
-A twin of each is made from three scans and compared with it. As in `graycast real twin`, the twin
-knows the rig and the scenes, but here the surfaces have no error. The hidden numbers are drawn from
-the middle four fifths of the fitted ranges, and the code is one of the candidates.
+A twin of each scanner is fitted to three simulated scans, and compared with it. As in `graycast
+real twin`, the rig and the scenes are known to the fit, but here the surfaces have no error. The
+hidden numbers are drawn from the middle four fifths of the fitted ranges, and the code is one of
+the candidates.
 """
 
 import argparse
@@ -37,14 +38,14 @@ from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
 from .smaller import shrunk
 
 SCENES = 3
-FITTED = tuple(p for p in PARAMETERS if p.key not in (BIN_GLOSS, BIN_ROUGHNESS))  # nothing is shiny
+FITTED = tuple(p for p in PARAMETERS if p.key not in (BIN_GLOSS, BIN_ROUGHNESS))  # all is matt
 _FLOOR_M, _FLOOR_ALBEDO = 0.47, 0.04
 _MARGIN = 0.1  # share of a parameter's range, at each end, without hidden numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unknown:
-    """A hidden scanner, and the result of the search for it."""
+    """A hidden scanner, and the fit of its twin."""
 
     period_px: float | None
     hidden: dict[str, float]
@@ -61,7 +62,7 @@ class Unknown:
 
 
 def study(number: int, lit: Sequence[LitScene], *, trials: int) -> Unknown:
-    """Hide a scanner, scan the scenes with it, and search with the same scenes."""
+    """Draw a hidden scanner, scan the scenes with it, and fit a twin with the same scenes."""
     start = small_scanner()
     codes = tuple(lit[0].radiance)
     rng = np.random.default_rng((15, number))
@@ -140,7 +141,7 @@ def board(
     lean_y: float,
     material: Material,
 ) -> Quad:
-    """Return a square in front of the camera, tilted by two slopes, that faces the camera."""
+    """Return a square in front of the camera that faces it, tilted by two slopes."""
     u = np.array([1.0, 0.0, lean_x]) / np.hypot(1.0, lean_x)
     normal = np.array([lean_x, lean_y, -1.0])
     v = np.cross(normal / np.linalg.norm(normal), u)

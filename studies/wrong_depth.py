@@ -210,7 +210,8 @@ def mirror_images(
     )
     coded = np.flatnonzero(np.isfinite(cues[:, off]))
     mirrored = cues[coded[rng.random(len(coded)) < MIRRORED]]
-    log2_px = rng.uniform(*np.log2(MIRRORED_PX), len(mirrored))
+    least, most = np.log2(MIRRORED_PX)
+    log2_px = rng.uniform(least, most, len(mirrored))
     mirrored[:, off] = mirrored[:, around] = log2_px
     mirrored[:, over_sigma] = log2_px - mirrored[:, sigma]
     return mirrored

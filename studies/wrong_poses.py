@@ -14,7 +14,7 @@ from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.dataset.stored import open_dataset
 from graycast.score.merge import fuse, read_view
 
-SENSOR, WRONG = "gray", 2  # scanner of configs/views.yaml, and the number of the changed view
+SENSOR, WRONG = "gray", 2  # a scanner of configs/views.yaml, and the index of the changed view
 
 
 def main() -> int:
@@ -31,7 +31,7 @@ def main() -> int:
 
 
 def wrong_poses(T_world_cam: np.ndarray) -> dict[str, np.ndarray]:
-    """Return a camera's pose with each error of the table."""
+    """Return the camera's pose with each of the table's errors."""
 
     def moved(*shift_m: float) -> np.ndarray:
         return T_world_cam @ rigid(np.eye(3), np.array(shift_m))

@@ -89,6 +89,10 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .learn.detect import load_detector as load_detector
     from .learn.detect import pictures_of as pictures_of
     from .learn.detect import train as train
+    from .real.material import MaterialFit as MaterialFit
+    from .real.material import MaterialScan as MaterialScan
+    from .real.material import fit_material as fit_material
+    from .real.material import open_scan as open_scan
     from .real.rescan.open_source import open_source as open_source
     from .real.rescan.rescanning import RescanSpec as RescanSpec
     from .real.rescan.rescanning import rescan as rescan
@@ -162,6 +166,7 @@ _MODULE = {
         "cell.simulate": "Shot make_images make_scene",
         "cell.views": "ViewSection",
         "score.evaluate": "Protocol Task evaluate",
+        "real.material": "MaterialFit MaterialScan fit_material open_scan",
         "real.rescan.open_source": "open_source",
         "real.rescan.rescanning": "RescanSpec rescan",
         "real.rescan.source": "SourceOptions",

@@ -171,7 +171,7 @@ def test_a_picture_is_refused_if_its_header_states_too_large_a_size(kind, tmp_pa
 
 @pytest.mark.parametrize("kind", ["jpeg", "png", "tiff"])
 def test_a_picture_with_a_damaged_orientation_tag_is_not_refused(kind):
-    """A whole picture that is stored turned is refused; if its note is cut, nothing is said."""
+    """A complete picture that is stored rotated is refused; one with a truncated tag is not."""
     data, exif = io.BytesIO(), Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(np.zeros((32, 48), np.uint8)).save(data, format=kind, exif=exif)

@@ -109,7 +109,7 @@ def refuse(*paths):
 
 
 def test_a_replaced_file_or_folder_appears_complete_or_not_at_all(tmp_path):
-    """A file replaces an earlier file; a folder replaces an empty folder only."""
+    """A file replaces an earlier file; a folder replaces only an empty folder."""
     with beside(tmp_path / "scene") as folder:
         folder.mkdir()
         (folder / "a").write_text("a")

@@ -65,7 +65,7 @@ def test_a_legend_below_the_axes_overlaps_neither_axes_nor_label():
 
 @pytest.mark.slow
 def test_labels_of_close_points_do_not_overlap_and_the_first_points_are_labelled():
-    """Thirty points lie close together; the boxes of the labels are compared as they are drawn."""
+    """Thirty points are close together; the boxes of the labels are compared as they are drawn."""
     figure, (ax,) = plain_figure(5.0, 4.0, (1,))
     points = np.random.default_rng(1).uniform(0.4, 0.6, (30, 2))
     ax.set(xlim=(0, 1), ylim=(0, 1))

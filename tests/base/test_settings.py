@@ -225,7 +225,7 @@ def test_a_key_is_described_by_its_annotation_even_inside_lists_and_unions():
     ],
 )
 def test_a_wrong_keyword_gives_the_same_error_in_python_and_in_a_file(settings, message, tmp_path):
-    """The two errors differ only in the name in front and in whose keys they are."""
+    """The two errors differ only in the name at the start and in the words for the source."""
     settings = {"parts": ({"builtin": "toothpaste"},)} | settings
     with pytest.raises(GraycastError) as script:
         Config(**settings)

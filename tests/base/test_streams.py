@@ -1,4 +1,4 @@
-"""Seeds of stages: they stay the same for datasets that were begun, and no two are related."""
+"""Seeds of stages do not change between versions, and no two of them are related."""
 
 from itertools import product
 

@@ -1,4 +1,4 @@
-"""The memory that this process is known to use, and the load of GPUs."""
+"""The memory that this process uses, and the load of GPUs."""
 
 import mmap
 import sys

@@ -1,4 +1,4 @@
-"""A small scanner in front of a wall, and renderers that return known pictures."""
+"""Fixtures: a small scanner in front of a wall, and fake renderers that return known pictures."""
 
 from dataclasses import dataclass, field, replace
 
@@ -35,9 +35,9 @@ def wall_cells(tmp_path_factory):
 
 @dataclass
 class Painter:
-    """A fake renderer: each pixel sees one projector column, in the `white` light of its class.
+    """A fake renderer. Each pixel sees one projector column; `white` is the light of each class.
 
-    `shift_px` moves the columns; the first `blind` rows get no light at all. The noise has the
+    `shift_px` moves the columns, and the first `blind` rows get no light. The noise has the
     standard deviation `noise / sqrt(samples)`.
     """
 

@@ -1,4 +1,4 @@
-"""The agreement study finds the differences that are there, and no others."""
+"""The study of agreement reports the known differences between two fake renderers."""
 
 import json
 from dataclasses import replace
@@ -50,7 +50,7 @@ def test_the_ratio_of_each_class_is_reported_exactly(painted):
 
 @pytest.mark.parametrize(("shift_px", "accepted"), [(0.2, True), (-0.3, False)])
 def test_the_difference_in_columns_is_reported(painted, shift_px, accepted):
-    """The tolerance of 0.03 allows for linear interpolation, since the code has cosines."""
+    """Interpolation between samples of the cosines has an error, hence the tolerance of 0.03."""
     figures = study(painted(), painted(name="cycles", shift_px=shift_px))
     depth = figures["depth"]
     assert depth["median_columns"] == pytest.approx(shift_px, abs=0.03)
@@ -60,7 +60,7 @@ def test_the_difference_in_columns_is_reported(painted, shift_px, accepted):
 
 
 def test_pixels_that_only_one_renderer_decodes_are_counted(painted):
-    """The blind renderer lacks 3 of 20 rows; pixels that are invalid in both count as alike."""
+    """One renderer has no light in 3 of 20 rows. Pixels that are invalid in both count as equal."""
     figures = study(painted(), painted(name="cycles", blind=3))
     depth = figures["depth"]
     assert depth["valid_in_first_only"] == pytest.approx(3 / 20)
@@ -87,7 +87,7 @@ def test_both_renderers_get_the_same_scenes_without_the_footprint_filter(painted
 
 
 def test_the_effect_of_noise_alone_does_not_depend_on_the_second_renderer(painted):
-    """A different picture of the second renderer does not change these figures."""
+    """These figures stay the same if the second renderer returns another picture."""
     noisy = painted(noise=0.5)
     one = study(noisy, painted(name="cycles", shift_px=3.0))["noise_alone"]
     assert one == study(noisy, painted(name="cycles"))["noise_alone"]
@@ -115,7 +115,7 @@ def test_figures_of_the_benchmark_are_written_as_json_text_and_plot(painted, tmp
 
 @pytest.mark.slow
 def test_cycles_and_mitsuba_agree_on_a_small_scene(cycles_renderer):
-    """The pixels are few and noisy, so only medians have tight limits."""
+    """The picture is small and noisy, so only the medians have tight limits."""
     with opened(1) as renderers:
         figures = study(*renderers, scenes=1, samples=16, size_px=(172, 130))
     assert np.abs(row(figures, "white", "diffuse")["median"] - 1) < 0.02

@@ -1,4 +1,4 @@
-"""The definition of a firefly, and its share of the light."""
+"""The definition of a firefly, and the share of the light that fireflies have."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from benchmarks.caustics import fireflies
 
 
 def test_the_light_of_a_firefly_is_the_excess_over_its_neighbours():
-    """Counted by hand: a pixel of 11 times the rest is a firefly, one of twice the rest is not."""
+    """A pixel 11 times as bright as the rest is a firefly; one twice as bright is not."""
     white = np.ones((20, 20))
     white[10, 10], white[4, 4] = 11.0, 2.0
     everywhere = np.ones_like(white, dtype=bool)

@@ -24,7 +24,7 @@ def test_a_crop_beyond_the_picture_is_refused():
 
 
 def test_the_photon_noise_of_the_quiet_sensor_is_at_most_two_digital_numbers():
-    """Photon noise at the top of the range, in digital numbers."""
+    """The photon noise is computed at the top of the sensor's range."""
     sensor = cells.QUIET_SENSOR
     variance_dn2 = sensor.gain_dn_per_e**2 * sensor.full_well_e
     assert np.sqrt(variance_dn2) < 2.1

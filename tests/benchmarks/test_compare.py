@@ -1,4 +1,4 @@
-"""The comparison of two commits: its table, and what it leaves behind when it fails."""
+"""The comparison of two commits: its table, its errors, and the removal of the other tree."""
 
 import subprocess
 from pathlib import Path
@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def records(row, *, here, there, stage="drop"):
-    """Return records of as many rounds as there are numbers."""
+    """Return records with one round for each number."""
     sides = {"here": here, "there": there}
     return [
         {"stage": stage, "row": row, "side": side, "round": str(number), "value": value}
@@ -24,7 +24,7 @@ def records(row, *, here, there, stage="drop"):
 
 @pytest.fixture
 def repository(tmp_path):
-    """Return a repository with one commit of an empty package."""
+    """Return a repository whose only commit contains an empty package."""
     root = tmp_path / "repository"
     (root / "src/graycast").mkdir(parents=True)
     (root / "src/graycast/__init__.py").write_text("")
@@ -44,7 +44,7 @@ def run(root, rev="HEAD", stages=("drop",)):
 
 
 def test_ratios_are_computed_within_each_round():
-    """A machine that is slower in the second round changes the medians, but not the ratios."""
+    """If the machine is slower in the second round, the medians change, but not the ratios."""
     (row,) = summarise(records("fall", here=[1.1, 2.0, 1.2], there=[1.0, 2.0, 1.0]))
     assert row["here"] == 1.2 and row["there"] == 1.0
     assert (row["ratio"], row["lowest"], row["highest"]) == (1.1, 1.0, 1.2)
@@ -145,9 +145,9 @@ def test_an_unknown_stage_is_named(capsys):
 
 @pytest.mark.slow
 def test_a_commit_compared_with_itself_has_a_ratio_near_one():
-    """HEAD is compared with itself. Load of the caches changes the processor time of equal code, by
-    up to a tenth in two rounds on a busy machine; a factor of 1.5 is far from that and from the
-    ratio of different work. Only imports are timed, since other stages render first.
+    """On a busy machine, the processor time of equal code varies by up to a tenth in two rounds,
+    because other programs use the caches. The limit of 1.5 is far above that. Only imports are
+    timed, since the other stages render first.
     """
     results = compare(ROOT, "HEAD", stages=("import",), minutes=0.1, path=None, on_progress=print)
     rows = summarise(results)

@@ -1,4 +1,4 @@
-"""The number of samples that an error needs, inside and outside the tried range."""
+"""The number of samples for a given error, inside and outside the measured range."""
 
 import pytest
 

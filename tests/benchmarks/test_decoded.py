@@ -1,4 +1,4 @@
-"""Errors of decoded depth and of edges, compared with the errors that were put in."""
+"""Measured errors of decoded depth and of edges equal the errors that the tests add."""
 
 from types import SimpleNamespace
 
@@ -15,7 +15,7 @@ CODE = gray(64, 8, axes=("column",))
 
 
 def result(column, depth_m, valid):
-    """Return a decoded map of given columns and depths."""
+    """Return a decoded map with the given columns and depths."""
 
     def where(values):
         return np.where(valid, values, np.nan).astype(np.float32)
@@ -32,8 +32,9 @@ def result(column, depth_m, valid):
 
 
 def test_each_kind_of_error_is_counted_as_a_share_of_the_reference():
-    """80 of 100 pixels have depth: 4 are wrong by two columns and 10 mm, 8 are lost, 5 are extra.
-    All others have an error of one column and 3 mm, which does not count as wrong.
+    """In the reference, 80 of 100 pixels have depth. In the result, 4 of these are wrong by two
+    columns and 10 mm, 8 are lost, and 5 others have depth. The rest have an error of one column and
+    3 mm, which does not count as wrong.
     """
     column, depth_m = np.full((10, 10), 30.0), np.full((10, 10), 0.7)
     valid = np.arange(100).reshape(10, 10) < 80
@@ -60,9 +61,9 @@ def test_a_result_compared_with_itself_has_no_error():
 
 
 def light(shift_px=0.0, growth_px=0.0, per_column=4, blur_px=3.0):
-    """Return the code on a wall: `per_column` camera pixels per column, edges `blur_px` wide.
+    """Return frames of a wall: a column is `per_column` camera pixels, an edge `blur_px` wide.
 
-    `shift_px` moves all edges to the right, `growth_px` makes lit stripes wider at both ends.
+    `shift_px` moves all edges to the right; `growth_px` moves both edges of lit stripes outwards.
     """
     x = np.arange(64 * per_column)
     stack = []
@@ -88,7 +89,7 @@ EVERYWHERE = np.ones((3, 256), dtype=bool)
 
 @pytest.mark.parametrize(("shift_px", "growth_px"), [(0.3, 0.0), (0.0, -0.2), (-0.25, 0.1)])
 def test_moved_edges_are_located_at_their_new_positions(shift_px, growth_px):
-    """There are nearly as many rising as falling edges, so shift and growth separate."""
+    """Rising and falling edges are about equally many, so shift and growth can be separated."""
     figures = edge_shifts(light(shift_px, growth_px), light(), CODE, EVERYWHERE)
     # Edges of wide stripes: bits 2 to 5 of 64 values have 8, 4, 2 and 1 edges.
     rising, falling = 4 + 2 + 1 + 1, 4 + 2 + 1
@@ -105,8 +106,8 @@ def test_an_edge_that_moved_too_far_counts_as_lost():
 
 
 def test_blur_reduces_the_contrast_of_the_finest_stripes():
-    """Wide edges reduce the flat parts of stripes of 8 camera pixels. Computed by hand: edges of b
-    pixels leave 1 - b / 16 of the mean distance from the middle.
+    """Stripes are 8 camera pixels wide. With linear edges of b pixels, the mean distance from the
+    mean level is 1 - b / 16 of that of sharp stripes.
     """
     for blur_px in (2.0, 6.0):
         contrast = fine_contrast(light(blur_px=blur_px), CODE, EVERYWHERE)

@@ -1,4 +1,4 @@
-"""The denoiser study: errors fall with samples, and its advice follows from its rows."""
+"""The study of denoisers: its rows, and the denoiser and number of samples that it advises."""
 
 import json
 
@@ -13,7 +13,7 @@ from benchmarks.figures import describe
 
 
 def rows(renderer="cycles", **shares):
-    """Return the rows of a series that starts at 4 samples."""
+    """Return the rows of a series of sample counts that starts at 4."""
     return [
         {"renderer": renderer, "denoise": denoise, "samples": 4 * 2**k, "bad_share": share}
         for denoise, series in shares.items()
@@ -48,7 +48,7 @@ def test_numbers_of_samples_double_up_to_the_maximum():
 
 @pytest.mark.slow
 def test_errors_and_noise_fall_equally_with_more_samples(painted):
-    """A renderer without noise has no errors, for any number of samples and denoiser."""
+    """Errors and noise are zero for a renderer without noise, with any denoiser and samples."""
     noisy = painted(name="cycles", noise=0.6)
     figures = denoise.study(
         painted(), noisy, painted(name="cycles", noise=0.6), count=3, most=16, size_px=(48, 20),
@@ -70,7 +70,7 @@ def test_errors_and_noise_fall_equally_with_more_samples(painted):
 
 @pytest.mark.slow
 def test_denoising_reduces_bad_pixels_of_cycles_at_few_samples(cycles_renderer, tmp_path):
-    """In white light, denoising helps a lot: 12 patterns at 4 samples on a small crop."""
+    """A small crop with 12 patterns is rendered with 4 samples."""
     with opened(1, 3) as renderers:
         figures = denoise.study(
             *renderers, count=30, most=8, size_px=(86, 64), show=lambda text: None

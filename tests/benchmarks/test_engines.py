@@ -1,4 +1,4 @@
-"""The study of engines, on small scenes: which engines run, and how ratios are formed."""
+"""The study of engines on small scenes: the engines that run, and the ratios of their times."""
 
 import pytest
 from small_cell import write_cell
@@ -20,7 +20,7 @@ def test_ratios_are_medians_of_ratios_within_rounds():
 
 
 @pytest.mark.slow
-def test_every_physics_engine_makes_the_scenes(tmp_path, monkeypatch):
+def test_every_available_engine_makes_the_scenes(tmp_path, monkeypatch):
     path = write_cell(tmp_path)
     cell = resolve_cell(load_config(path), tmp_path)
     monkeypatch.setattr(engines, "cell_of", lambda settings: cell)

@@ -51,7 +51,7 @@ def test_every_command_has_its_module_and_page(capsys, name):
 
 
 def test_the_command_line_loads_without_numpy():
-    """`compare` may run without packages, and importing NumPy takes longer than its start."""
+    """`compare` can run without packages, and would start much later if it imported NumPy."""
     code = "import sys; from benchmarks import __main__; print('numpy' in sys.modules)"
     words = [sys.executable, "-c", code]
     run = subprocess.run(words, cwd=program.ROOT, capture_output=True, text=True, check=True)

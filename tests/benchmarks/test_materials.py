@@ -1,9 +1,10 @@
-"""The table of materials: the criterion of a wrong depth, and pictures rendered once."""
+"""The table of materials: the limit for wrong depth, the renders, and the text of the page."""
 
 import numpy as np
 import pytest
 
-from benchmarks.materials import MATERIALS, Worth, _patterns, _scanners, page, worth
+from benchmarks.decoders import shared_patterns
+from benchmarks.materials import MATERIALS, Worth, _scanners, page, worth
 from graycast.camera.decode import DepthMap
 from graycast.camera.scanner import preset
 
@@ -29,9 +30,9 @@ def test_a_depth_with_an_error_above_1_mm_and_5_sigmas_is_wrong():
 
 @pytest.mark.slow
 def test_every_picture_of_every_code_is_rendered_once():
-    """The preset's pictures include all pictures of the scanner without guards."""
+    """The preset's pictures include all pictures that the scanner without guards needs."""
     scanners = _scanners("like-phoxi-m", preset("like-phoxi-m", "small"))
-    keys, patterns = _patterns(scanners)
+    keys, patterns = shared_patterns([*scanners.values()])
     assert len(set(keys)) == len(keys) == len(patterns)
     codes = [scanner.light_code() for scanner in scanners.values()]
     assert len(keys) < sum(len(code.frames) for code in codes)

@@ -1,4 +1,4 @@
-"""The page of benchmarks: headings, wrapped text, and unwrapped tables."""
+"""The page of benchmarks: its headings, its wrapped text, and its tables, which are not wrapped."""
 
 from argparse import Namespace
 

@@ -1,4 +1,4 @@
-"""The benchmark of poses: its shares, its boxes, and its files."""
+"""The benchmark of poses: enlarged boxes, and the files that it writes."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def test_a_box_is_enlarged_about_its_middle():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_poses_are_estimated_for_a_dataset_and_written(master, tmp_path):  # noqa: F811
-    """Perfect depth and masks of prisms give their poses, and every file has BOP's form."""
+    """The poses follow from perfect depth and masks of prisms; the files have the BOP format."""
     out = tmp_path / "poses"
     words = {"datasets": [master], "instances": 6, "min_visibility": 0.9, "out": out}
     rows = measure(**words, show=lambda text: None)["rows"]

@@ -1,6 +1,6 @@
-"""Time and memory of a process and its children, compared with known use.
+"""Processor time and memory of a process and its children, compared with known values.
 
-Each case runs in a process of its own: the test runner may have other children.
+Each case runs in its own process, since the test runner may have other children.
 """
 
 import subprocess
@@ -43,7 +43,7 @@ def _printed(script: str) -> list[float]:
 
 @pytest.mark.slow
 def test_time_and_memory_of_a_child_process_are_counted():
-    """The child works for 0.3 s, partly perhaps before the first look; ticks are of 0.01 s."""
+    """The child computes for 0.3 s, perhaps partly before the first reading. Ticks are 10 ms."""
     used_s, peak_bytes = _printed(PARENT)
     assert 0.15 < used_s < 1.0
     assert 80e6 < peak_bytes < 400e6
@@ -51,6 +51,6 @@ def test_time_and_memory_of_a_child_process_are_counted():
 
 @pytest.mark.slow
 def test_the_peak_memory_of_a_benchmark_is_that_of_its_worker_process():
-    """A child of 600 MB has ended: the peak must be its peak, not that of the small parent."""
+    """The child used 600 MB and has ended. Its peak counts, not that of the small parent."""
     (peak_bytes,) = _printed(PARENT_OF_AN_ENDED_CHILD)
     assert 600e6 < peak_bytes < 700e6

@@ -1,4 +1,4 @@
-"""The speed study: extrapolated times equal the times that would be measured."""
+"""The study of speed: its extrapolated times equal the times of fake renderers."""
 
 import json
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ WORDS = {"count": 3, "samples": 16, "size_px": (48, 20), "show": lambda text: No
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Return a clock that renderers set; processor time is twice the wall time."""
+    """Return a clock that the fake renderers advance; processor time is twice the wall time."""
 
     class Time:
         now_s = 0.0
@@ -29,7 +29,7 @@ def clock(monkeypatch):
 
 
 def slow(painted, clock, **words):
-    """Return a painter that takes `start_s`, then `per_sample_s` for each sample of a render."""
+    """Return a fake renderer. A render takes `start_s`, and `per_sample_s` for each sample."""
 
     @dataclass
     class Slow(painted):
@@ -52,8 +52,8 @@ def slow(painted, clock, **words):
 
 
 def test_an_extrapolated_stack_takes_as_long_as_a_rendered_stack(painted, clock):
-    """Without white and black, 11 of 13 patterns remain. One pass takes 0.5 + 1.6 s; Cycles takes
-    7 + 11 * 16 s, or 7 + 4 * 32 s with three patterns per render.
+    """Without white and black, 11 of 13 patterns are rendered. One pass takes 0.5 + 1.6 s. Cycles
+    takes 7 + 11 * 16 s, or 7 + 4 * 32 s with three patterns per render.
     """
     three = slow(painted, clock, name="cycles", start_s=7, per_sample_s=2, patterns_per_render=3)
     figures = renderers.study(
@@ -76,8 +76,8 @@ def test_an_extrapolated_stack_takes_as_long_as_a_rendered_stack(painted, clock)
 
 
 def test_the_number_of_samples_for_equal_error_follows_the_power_law():
-    """With errors of 1 / n (one pass) and 6 / n (Cycles), Cycles needs 96 samples for the error of
-    16; a frame takes 2 + n / 2 s of processor time.
+    """The errors are 1 / n (one pass) and 6 / n (Cycles) at n samples, so Cycles needs 96 samples
+    for the error of one pass with 16. A frame takes 2 + n / 2 s of processor time.
     """
     rows = [
         {"renderer": name, "samples": n, "bad_share": factor / n, "depth_rms_right_mm": factor / n}
@@ -100,7 +100,7 @@ def test_the_number_of_samples_for_equal_error_follows_the_power_law():
 
 
 def test_a_disturbed_frame_does_not_change_the_measured_time(clock):
-    """The first frame builds the scene; the median ignores one disturbed frame."""
+    """The first frame builds the scene and is not counted; the median ignores one slow frame."""
     watch = Stopwatch()
     for frame_s in (30, 4, 4, 19, 1):
         clock.now_s += frame_s
@@ -140,7 +140,7 @@ def test_figures_of_the_benchmark_are_written_as_json_text_and_plot(painted, clo
 
 @pytest.mark.slow
 def test_one_pass_is_many_times_faster_than_a_frame_for_each_pattern(cycles_renderer, monkeypatch):
-    """The ratio is smaller than for a whole picture, since starting costs count in a crop."""
+    """A crop gives a smaller ratio than a whole picture, since the time to start counts more."""
     monkeypatch.setattr(renderers, "ERROR_MOST", 8)
     monkeypatch.setattr(renderers, "ERROR_SIZE_PX", (86, 64))
     with opened(1, 3) as all_three:

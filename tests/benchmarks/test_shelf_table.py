@@ -1,4 +1,4 @@
-"""The table of the shelf in the documentation is that of the stored figures."""
+"""The documentation's table of the shelf is made from the stored figures."""
 
 from pathlib import Path
 

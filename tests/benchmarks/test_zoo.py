@@ -1,4 +1,4 @@
-"""The zoo: typical parts of bins come to rest, and another engine confirms it."""
+"""The zoo: typical parts of bins come to rest, and another engine confirms their balance."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_two_stacked_rods_do_not_move():
 
 @pytest.mark.parametrize("beyond_m, falls", [(0.048, False), (0.053, True)])
 def test_a_rod_falls_if_its_centre_of_mass_is_beyond_the_edge_of_its_support(beyond_m, falls):
-    """Oracle: statics; the lower rod ends 50 mm from its middle."""
+    """Statics: the rod falls if its centre of mass is beyond the lower rod's end, at 50 mm."""
     layout = lying(at(0, 0.01 + SKIN_M), at(beyond_m, 0.03 + 3 * SKIN_M))
     moved_m = unbalanced_m(BIN, (rod(),), layout)
     assert moved_m[1] > 5e-3 if falls else moved_m[1] < 0.1e-3
@@ -53,7 +53,7 @@ def test_a_rod_falls_if_its_centre_of_mass_is_beyond_the_edge_of_its_support(bey
 
 @pytest.mark.parametrize("friction, slides", [(0.1, True), (0.7, False)])
 def test_a_rod_leans_on_the_wall_if_friction_is_sufficient(friction, slides):
-    """Oracle: a ladder at angle a slides where tan a < (1 - mu^2) / (2 mu): here tan a = 1.19."""
+    """A ladder at angle a slides if tan a < (1 - mu^2) / (2 mu); here tan a = 1.19."""
     angle = np.deg2rad(50)
     turn = axis_rotation("y", -angle)
     corners = rod().box_m @ turn.T
@@ -70,21 +70,21 @@ def dropped(*families, counts, seeds, hull_folder):
 
 @pytest.mark.slow
 def test_bolts_come_to_rest_in_balance(tmp_path):
-    """A bolt on an empty floor once never came to rest."""
+    """Symptom: a bolt on an empty floor never came to rest."""
     for row in dropped("hex_bolt", counts=(1, 10), seeds=2, hull_folder=tmp_path):
         assert (row["made"], row["most"], row["balanced"]) == (2, 1, 2), row
 
 
 @pytest.mark.slow
 def test_boxes_on_their_faces_are_in_balance(tmp_path):
-    """With one or two points per contact, boxes rocked by 1 to 41 mm: see balance.py."""
+    """With one or two points per contact, boxes moved by 1 to 41 mm (see balance.py)."""
     (row,) = dropped("yellow_salt_cube", counts=(7,), seeds=4, hull_folder=tmp_path)
     assert (row["made"], row["balanced"]) == (4, 4), row
 
 
 @pytest.mark.slow
 def test_ten_tubes_with_many_hulls_come_to_rest(tmp_path):
-    """The tubes never come to rest if the engine clusters contacts."""
+    """The tubes do not come to rest if the engine groups contacts into clusters."""
     (row,) = dropped("tube", counts=(10,), seeds=1, hull_folder=tmp_path)
     assert row["made"] == row["asked"] == 1, row
 

@@ -1,4 +1,4 @@
-"""Volumes in mm^3. The oracles are closed forms of the true shapes, or integrals over them."""
+"""Volumes of the zoo's parts, compared with closed forms or integrals of the true shapes [mm^3]."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from benchmarks.zoo_parts import SEGMENTS, WIRE_SEGMENTS, ZOO, zoo_part
 from graycast.world.parts import BUILTIN
 
-# Share of a circle that a chord polygon of n corners encloses.
+# Area of an inscribed polygon of n corners, as a share of the circle's.
 ROUND, WIRE, SPRING_WIRE = (np.sinc(2 / n) for n in (SEGMENTS, WIRE_SEGMENTS, 16))
 HEXAGON = np.sqrt(3) / 2  # area over the width across flats, squared
 
@@ -32,7 +32,7 @@ def torus(radius, cord):
 
 
 def nut():
-    """Integrate 12 sectors from flat to corner; beyond the circle of the flats, height falls."""
+    """Integrate 12 sectors from flat to corner; the height falls beyond the flats' circle."""
 
     def height(r):
         return 6.8 - 2 * np.tan(np.pi / 6) * max(0.0, r - 6.5)
@@ -59,7 +59,7 @@ def gear():
 
 
 def bottle():
-    """Add discs over the height; the curves of the outline are integrated exactly."""
+    """Integrate discs over the height, with the exact curves of the outline."""
     foot = quad(lambda z: (26 + np.sqrt(16 - (4 - z) ** 2)) ** 2, 0, 4)[0]
     shoulder = quad(lambda s: 35 * (30 - 17 * s * s * (3 - 2 * s)) ** 2, 0, 1)[0]
     straight = 30**2 * 91 + 13**2 * 28
@@ -67,7 +67,7 @@ def bottle():
 
 
 def clip():
-    """Return the volume; the ring overlaps the foot by 1 mm, which counts once."""
+    """Return the volume; the ring and the foot overlap by 1 mm, which counts once."""
     overlap = 36 * np.arccos(5 / 6) - 5 * np.sqrt(36 - 25)
     ring = np.radians(280) / 2 * (6**2 - 4**2)
     return 10 * (ring + 24 * 2 - overlap) - ROUND * disc(4, 2)
@@ -79,7 +79,7 @@ def spring_wire_mm():
     return 2 * np.hypot(girth, 1.55) + 6 * np.hypot(girth, 35.4 / 6)
 
 
-# Volume, and the relative error that facets may add to that of `ROUND` and `WIRE`.
+# Volume, and the relative error of facets that is allowed besides that of `ROUND` and `WIRE`.
 EXPECTED = {
     "hex_bolt": (HEXAGON * 13**2 * 5.3 + ROUND * (disc(8, 23.75) + cone(5.5, 8, 1.25)), 1e-9),
     "socket_screw": (
@@ -140,7 +140,7 @@ def test_a_part_of_the_zoo_is_closed_and_has_the_volume_of_its_dimensions(name):
 
 @pytest.mark.slow
 def test_the_rings_of_the_chain_are_linked_and_do_not_touch():
-    """Oracle: the circles' closest distance by sampling; Gauss's linking number is 1 or 0."""
+    """The distance between circles is sampled. Gauss's linking number is 1 if two are linked."""
     angle = 2 * np.pi * np.arange(400) / 400
     flat, zero = [8 * np.cos(angle), 8 * np.sin(angle)], 0 * angle
     rings = [

@@ -59,7 +59,7 @@ def photon_transfer(
             50 or more.
         side_px: side of the square pictures; the variances are known to `sqrt(2) / side_px`.
         stack: pictures averaged for the fixed pattern.
-        longest_dark_s: the dark current shows in exposures up to this.
+        longest_dark_s: longest exposure with which the dark current is measured.
     """
     bench = _Bench(sensor=sensor, side_px=side_px, rng=np.random.default_rng(seed))
     saturating_s = bench.saturating_exposure_s()
@@ -129,7 +129,7 @@ class _Bench:
     def fixed_pattern(self, dark_s: float, half_s: float, stack: int) -> tuple[float, float]:
         """Return DSNU [DN] and PRNU [share]: spatial deviation, dark and half full.
 
-        The temporal noise left in the averages is subtracted; the result is 0 if there is no more.
+        The temporal noise left in the averages is subtracted; the result is 0 if nothing remains.
         """
         dark_dn, dark_dn2 = _spatial(self.flats(dark_s, stack, radiance=0.0))
         half_dn, half_dn2 = _spatial(self.flats(half_s, stack))

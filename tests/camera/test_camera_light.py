@@ -1,4 +1,4 @@
-"""Black level and veil: laws of any such light."""
+"""Laws of the black level and of the veil."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Faults of a device: depth of points next to the centres of pixels."""
+"""Faults of a device: depth is measured at points next to the centres of pixels."""
 
 import math
 from dataclasses import fields
@@ -34,8 +34,7 @@ def depth_map(z_m, sigma_m=1e-7):
 
 @pytest.mark.parametrize(("tilt_deg", "azimuth_deg"), [(20, 0), (45, 90), (60, 30)])
 def test_the_raster_error_is_proportional_to_the_slope_and_the_pixel_width(tilt_deg, azimuth_deg):
-    """At the axis a pixel is z / f wide, and a plane rises by tan(tilt) times that; sigma
-    agrees."""
+    """A pixel is z / f wide at the axis, a plane rises by tan(tilt) times that; sigma agrees."""
     z_m = tilted(tilt_deg, azimuth_deg)
     placed = with_faults(depth_map(z_m), FaultSpec(raster_px=0.25), seed=0)
     error_m = placed.depth_m - z_m
@@ -118,7 +117,7 @@ def test_a_depth_map_without_a_fault_is_returned_unchanged():
 
 
 @pytest.mark.parametrize(("name", "value"), [("raster_px", 1.5), ("raster_limit_m", 0.0)])
-def test_impossible_faults_are_refused_by_name(name, value):
+def test_the_error_for_an_impossible_fault_names_its_key(name, value):
     with pytest.raises(ValueError, match=name):
         FaultSpec(**{name: value})
 

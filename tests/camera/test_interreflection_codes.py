@@ -1,4 +1,4 @@
-"""Codes that survive light from another wall: a V-groove compared with radiosity.
+"""Codes that withstand light from another wall: a V-groove compared with radiosity.
 
 The groove's apex lies along y, so columns light its walls strip by strip and radiosity has one
 dimension. The projector grazes one wall, which the other lights more than the projector does: there
@@ -145,7 +145,7 @@ def test_plain_gray_code_fails_at_the_pixels_that_radiosity_predicts(shots):
 @pytest.mark.slow
 @pytest.mark.parametrize("code", ["xor", "micro"])
 def test_codes_with_narrow_stripes_at_least_halve_the_error(shots, code):
-    """It is under a fifth; pixels that they cannot decode have no value."""
+    """The error is under a fifth of Gray code's; pixels that cannot be decoded have no value."""
     assert wrong(shots[code][0]) < 0.5 * wrong(shots["gray"][0])
     assert np.isfinite(shots[code][0]).mean() > 0.6
 

@@ -91,14 +91,14 @@ def test_a_dark_scene_with_a_fixed_exposure_gives_a_dark_picture(scanner, radian
     assert frames.max() < scanner.sensor.offset_dn + 5
 
 
-def test_line_noise_without_known_projector_positions_is_refused_by_name(scanner, radiance):
+def test_line_noise_without_known_projector_positions_is_refused(scanner, radiance):
     with pytest.raises(ValueError, match=r"line_noise 0\.02.*place_px"):
         take(scanner, replace(radiance, place_px=None), seed=1)
 
 
 @pytest.mark.slow
 def test_line_noise_moves_a_whole_projector_line_by_the_closed_form(scanner, radiance):
-    """(p / 2 pi) share sqrt(5 / (2 N)): sums over sin and cos, as in the module, done by hand.
+    """Oracle, by hand: (p / 2 pi) share sqrt(5 / (2 N)), from sums over sin and cos.
 
     Half and twice the value fail clearly.
     """

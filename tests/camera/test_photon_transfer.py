@@ -15,7 +15,7 @@ SPEC = SensorSpec(dark_current_e_s=25.0, dsnu_e=1.2, prnu=0.008, fpn_seed=7)
 
 
 def returns(measured, spec):
-    """Check gain, read noise and full well within 2 %, the promise of the virtual sensor."""
+    """Return whether gain, read noise and full well are within 2 % of the sensor's."""
     names = ("gain_dn_per_e", "read_noise_e", "full_well_e")
     return all(abs(getattr(measured, n) / getattr(spec, n) - 1) < 0.02 for n in names)
 

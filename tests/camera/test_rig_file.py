@@ -88,7 +88,7 @@ def read(path, **changes):
 
 
 def same(a, b):
-    """Whether two rigs or two scanners are equal."""
+    """Return whether two rigs or two scanners are equal."""
     if isinstance(a, Scanner):
         others = ("code", "sensor", "exposure", "decode", "filters", "faults")
         return same(a.rig, b.rig) and all(getattr(a, n) == getattr(b, n) for n in others)

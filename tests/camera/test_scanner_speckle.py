@@ -34,7 +34,7 @@ def _sharp(lens: Optics) -> Optics:
 
 @pytest.fixture(scope="module")
 def light(scanner):
-    """Return exact light and depth of a leaning wall, by reflectance."""
+    """Return a function from reflectance to exact light and depth of an inclined wall."""
 
     def rendered(reflectance: float):
         wall = leaning_wall((0.25, 0.15, 1.0), WALL_M, lambert(reflectance), half_m=0.6)
@@ -108,8 +108,9 @@ def test_black_is_noisier_than_white_only_because_of_speckle(scanner, light):
 
 
 def test_speckle_uncertainty_of_depth_follows_the_law_of_dorsch_et_al(scanner, light):
-    """delta z = C lambda / (2 pi sin u sin theta): u half the aperture's angle, theta that between
-    the two rays, for any pixels; within a quarter, since pixels here are five speckles wide.
+    """Law: delta z = C lambda / (2 pi sin u sin theta) for pixels of any size, where u is half the
+    aperture's angle and theta the angle between the two rays. Pixels here are five speckles wide,
+    so the tolerance is a quarter.
     """
     lamp = replace(scanner, rig=replace(scanner.rig, speckle_contrast=0.0))
     laser_m, lamp_m = (np.nanstd(errors(s, light[0.03])[0]) for s in (scanner, lamp))
@@ -151,8 +152,9 @@ def test_ambient_light_causes_no_speckle(scanner, light):
 
 
 def test_raster_noise_decreases_with_reflectance_like_speckle(scanner, light):
-    """Both come from uneven light, so a reflectance R has `1 / sqrt(1 + volume 2R / (1 - R^2))` of
-    a black surface's. The wall leans away from the projector, so it seems darker by the cosine.
+    """Both come from uneven light, so reflectance R has `1 / sqrt(1 + volume 2R / (1 - R^2))` times
+    the noise of a black surface. The wall leans away from the projector, so it seems
+    darker by the cosine.
     """
     normal = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0])
     from_projector = np.array([0.0, 0.0, WALL_M]) - scanner.rig.T_cam_proj[:3, 3]

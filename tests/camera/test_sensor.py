@@ -40,9 +40,10 @@ def frames_of(mean_e, spec=PLAIN, *, frames=1, seed=11, background=None):
 
 
 def obeys_photon_transfer(dn, mean_e, spec):
-    """Check mean K mu + offset and variance K^2 (mu + read^2) + 1/12 to four standard errors.
+    """Return whether mean and variance obey K mu + offset and K^2 (mu + read^2) + 1/12.
 
-    The variance of a variance of n numbers with fourth central moment m4 is (m4 - s^4) / n.
+    The tolerance is four standard errors. The variance of a variance of n numbers with fourth
+    central moment m4 is (m4 - s^4) / n.
     """
     dn = dn.astype(float).ravel()
     gain = spec.gain_dn_per_e
@@ -420,7 +421,7 @@ def test_impossible_exposure_settings_are_refused(exposure_s):
         ("offset_dn", 65535.0),
     ],
 )
-def test_impossible_sensor_settings_are_refused_by_name(name, value):
+def test_the_error_for_an_impossible_sensor_setting_names_its_key(name, value):
     with pytest.raises(ValueError, match=name):
         sensor(**{name: value})
 

@@ -121,14 +121,14 @@ def test_the_variance_from_speckle_follows_its_law(scanner, capture):
 
 
 def test_the_variance_from_the_raster_follows_its_law(scanner, capture):
-    """Law: the point is j beside the pixel, so depth is off by j times its own slope there."""
+    """Law: the point is j off the pixel's centre, so the error is j times the slope of depth."""
     plain = measure(scanner, capture, path_noise=None)[1]
     depth = plain.depth_m.astype(np.float64)
     slope = np.hypot(
         0.5 * (np.roll(depth, -1, 1) - np.roll(depth, 1, 1)),
         0.5 * (np.roll(depth, -1, 0) - np.roll(depth, 1, 0)),
     )
-    # A bend of the jagged depth would be added, so the raster is evaluated before it.
+    # The jagged depth has bends, so the raster is evaluated before the term `bend` is added.
     jagged = with_faults(plain, FaultSpec(raster_px=RASTER_PX), seed=0)
     own = jagged.sigma_m.astype(np.float64) ** 2 - plain.sigma_m.astype(np.float64) ** 2
     np.testing.assert_allclose(

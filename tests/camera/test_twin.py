@@ -53,7 +53,7 @@ def twin(shared) -> Rig:
 
 @pytest.mark.slow
 def test_the_simulated_sea_shell_scanner_has_the_modulation_of_the_real_one(twin, mitsuba_renderer):
-    """The error is under 0.06 in the seven coarse bits; the last three have the same cliff."""
+    """The error is under 0.06 in the seven coarse bits; the last three fall as steeply."""
     spec = CodeSpec(codec="gray", axes=("column",), inverses=True)
     scanner = Scanner(rig=twin, code=spec, sensor=SensorSpec(bit_depth=8, gain_dn_per_e=0.025,
                                                              offset_dn=0.0))  # fmt: skip

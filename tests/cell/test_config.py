@@ -54,7 +54,7 @@ def test_the_repository_contains_example_configurations():
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
 def test_each_dataset_of_a_study_is_made_by_an_existing_configuration(path):
-    """The lines at its head make them, so that a study can be run from the start."""
+    """The commands in the first lines of a study make its datasets, so that it can be run."""
     spec = read_study(path)
     head = "\n".join(line for line in path.read_text().splitlines() if line.startswith("#"))
     sets = {folder for world in spec.tests.values() for folder in world.datasets}
@@ -171,7 +171,7 @@ def test_a_metal_with_one_changed_key_remains_a_metal(tmp_path):
 
 
 def test_scaling_a_part_changes_only_its_size(tmp_path):
-    """A batch may be off by its tolerance: looks, symmetry and density stay, lengths do not."""
+    """Look, density and rotations stay the same; all lengths are multiplied."""
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     turn[:3, 3] = [0.02, 0.0, 0.0]  # a half turn about the line x = 10 mm, y = 0
     axis = {"axis": [0, 0, 1], "point_m": [0.01, 0.0, 0.0]}
@@ -192,7 +192,7 @@ def test_scaling_a_part_changes_only_its_size(tmp_path):
 
 @pytest.mark.slow
 def test_a_part_s_symmetry_is_stated_as_rotations_or_detected_from_its_shape(tmp_path):
-    """A box is off the origin: rotations are about the middle of its own box unless stated."""
+    """The box is off the origin: rotations are about the middle of its own box unless stated."""
     beside = trimesh.creation.box((20.0, 30.0, 60.0)).apply_translation([50.0, 10.0, 0.0])
     beside.export(tmp_path / "beside.stl")
     symmetries = {}
@@ -220,7 +220,7 @@ def test_a_symmetry_s_axis_may_have_any_length(tmp_path):
 
 @pytest.mark.slow
 def test_the_rig_is_placed_according_to_the_view_section(tmp_path):
-    """The middle of the baseline is above the target by the distance, and aside by its tilt."""
+    """The middle of the baseline has the configured distance and tilt from the target."""
     for view, middle_m in (
         ({"distance_m": 0.8, "target_m": [0.1, 0.2, 0.0]}, [0.1, 0.2, 0.8]),
         ({"distance_m": 0.8, "target_m": [0, 0, 0], "tilt_deg": 30}, [0, -0.4, 0.8 * 0.75**0.5]),

@@ -76,7 +76,7 @@ def test_no_other_framing_fills_a_picture_much_better_than_the_chosen_one():
 
 
 def test_the_chosen_framing_lets_a_bushing_s_bin_fill_most_of_the_picture():
-    """At the distance where its axes cross, a scanner had 11 % of its picture filled by it."""
+    """At the distance where the scanner's axes meet, the bin filled only 11 % of the picture."""
     rig = preset_rig("like-phoxi-m", "small")
     T_world_cam = hang(ViewSection(distance_m=standoff_m(rig)), rig, BUSHING_BIN)
     assert bin_share(rig.camera, T_world_cam, BUSHING_BIN) < 0.12

@@ -1,4 +1,4 @@
-"""Solid glass looks dark behind, so each command that reads such a cell prints a note."""
+"""Solid glass is rendered too dark, so each command that reads such a cell prints a note."""
 
 import pytest
 import trimesh

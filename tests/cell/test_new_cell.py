@@ -183,7 +183,7 @@ def test_a_builtin_part_with_a_fitted_surface_keeps_its_density(tmp_path, monkey
     assert (part.density_kg_m3, part.material.metallic) == (own.density_kg_m3, 1.0)
 
 
-def test_a_builtin_part_gets_the_surface_that_was_asked_for(tmp_path, monkeypatch):
+def test_a_builtin_part_gets_the_requested_surface(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["new", "cell", "--builtin", "toothpaste", "--surface", "steel"]) == 0
     assert "material: steel" in (tmp_path / "cell/cell.yaml").read_text()

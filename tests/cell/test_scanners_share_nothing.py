@@ -1,4 +1,4 @@
-"""Scanners of a cell share no random numbers; the first has those of a single one."""
+"""Scanners of a cell share no random numbers; the first has the same ones as a single scanner."""
 
 from dataclasses import replace
 

@@ -55,10 +55,11 @@ def dataset(cell, tmp_path_factory):
 
 
 def test_depths_in_all_images_of_a_scene_agree(shots):
-    """Oracle: a point that two cameras see has one position; others are hidden from one of them.
+    """Oracle: a point that two cameras see has one position.
 
-    A point of the first image is projected into the second, whose depth there is that of the same
-    point, or of a nearer one that hides it: never farther, except for edges within a pixel.
+    Points of the first image are projected into the second image. The depth there equals the
+    point's depth, or is smaller where a nearer surface hides the point. It is larger only within a
+    pixel of edges.
     """
     for one in shots:
         camera, truth = one.sample.scene.rig.camera, one.sample.truth

@@ -10,6 +10,8 @@ import yaml
 
 import graycast as gc
 from graycast.cli import main
+from graycast.real import material
+from graycast.real.material import fit_material
 
 MATT = {"base_color": (0.5, 0.5, 0.5), "specular": 0.0, "roughness": 1.0}
 
@@ -48,10 +50,10 @@ def test_the_material_of_steel_brackets_is_recovered_from_a_scan(scene, tmp_path
     out = tmp_path / "material.yaml"
     white = ("--reference", scene / "white.png", "--reflectance", 0.5)
     assert not run(scene / "frames", "--mask", *masks(scene), *white, "--out", out)
-    material = yaml.safe_load(out.read_text())
-    assert material["metallic"] == 1.0
-    assert material["roughness"] == pytest.approx(0.4, abs=0.05)
-    assert material["base_color"] == pytest.approx([0.4] * 3, rel=0.1)
+    steel = yaml.safe_load(out.read_text())
+    assert steel["metallic"] == 1.0
+    assert steel["roughness"] == pytest.approx(0.4, abs=0.05)
+    assert steel["base_color"] == pytest.approx([0.4] * 3, rel=0.1)
     assert out.with_suffix(".png").stat().st_size > 10_000
     assert "kind           metal" in capsys.readouterr().out
     cell = tmp_path / "cell"
@@ -59,13 +61,30 @@ def test_the_material_of_steel_brackets_is_recovered_from_a_scan(scene, tmp_path
         ["new", str(cell), "--builtin", "metal_workpiece_1", "--surface-from", str(out)]
     )
     (part,) = gc.load_cell(cell / "cell.yaml").scene.parts
-    assert part.material.roughness == material["roughness"]
+    assert part.material.roughness == steel["roughness"]
     assert run(scene / "frames", "--out", out) == 1
     assert "exists already" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_parts_and_bin_are_told_apart_without_masks(scene, tmp_path, capsys):
+def test_python_and_the_command_fit_the_same_material(scene, tmp_path):
+    """The command rounds its numbers to three places."""
+    white = cv2.imread(str(scene / "white.png"), 0) > 0
+    parts = np.logical_or.reduce([cv2.imread(str(mask), 0) > 0 for mask in masks(scene)])
+    words = ("--mask", *masks(scene), "--reference", scene / "white.png", "--reflectance", 0.5)
+    assert not run(scene / "frames", *words, "--out", tmp_path / "m.yaml")
+    written = yaml.safe_load((tmp_path / "m.yaml").read_text())
+    scan = gc.open_scan(str(scene / "frames"))
+    fit = gc.fit_material(scan.observations(parts), scale=scan.scale(white, 0.5), seed=0)
+    assert round(fit.roughness.value, 3) == written["roughness"]
+    assert round(fit.color.value, 3) == written["base_color"][0]
+    assert (fit.material.roughness, fit.material.metallic) == (fit.roughness.value, 1.0)
+    with pytest.raises(gc.GraycastError, match=r"observations is .*: give a Reflections"):
+        gc.fit_material(scan, seed=0)
+
+
+@pytest.mark.slow
+def test_parts_and_bin_are_separated_without_masks(scene, tmp_path, capsys):
     """Oracle: the simulated masks and materials of the steel parts and of the matt grey bin."""
     out = tmp_path / "m.yaml"
     white = ("--reference", scene / "white.png", "--reflectance", 0.5)
@@ -89,6 +108,22 @@ def test_parts_and_bin_are_told_apart_without_masks(scene, tmp_path, capsys):
 
 
 @pytest.mark.slow
+def test_a_run_that_is_stopped_between_two_classes_leaves_no_file(scene, tmp_path, monkeypatch):
+    """The files of the first class would make the next run refuse its output."""
+    fits = []
+
+    def stopped(observations, **options):
+        fits.append(fit_material(observations, **options))
+        if len(fits) == 2:
+            raise KeyboardInterrupt
+        return fits[0]
+
+    monkeypatch.setattr(material, "fit_material", stopped)
+    assert run(scene / "frames", "--out", tmp_path / "m.yaml") == 130
+    assert len(fits) == 2 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -107,7 +142,7 @@ def test_the_rig_of_another_scanner_is_refused(scene, tmp_path, capsys, words, m
     ("gain", "message"), [(0.0, "no pixel is lit"), (60.0, "saturated")], ids=["dark", "bright"]
 )
 def test_a_scan_that_is_too_dark_or_too_bright_is_refused(scene, tmp_path, capsys, gain, message):
-    """All pictures of the scene, with their light above the black level multiplied."""
+    """The light above the black level is multiplied by `gain` in all pictures of the scene."""
     frames = tmp_path / "frames"
     shutil.copytree(scene / "frames", frames)
     (frames / "exposure.png").unlink()

@@ -1,4 +1,4 @@
-"""A sample's scene in front of a complete scanner: each pixel has the light that it receives."""
+"""Measure a sample's scene with a complete scanner, from the light that each pixel receives."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def rolled(rig, angle_rad):
 
 
 def light(code, rig, depth_m):
-    """Return (frames, h, w) radiance without shadows, and with a veil over all."""
+    """Return radiance (frames, h, w) without shadows, with a constant added to every pixel."""
     point = rays(rig.camera, pixel_grid(*depth_m.shape)) * depth_m[..., None]
     place = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))
     inside = ((place > -0.5) & (place < np.array(PROJECTOR) - 0.5)).all(axis=-1)
@@ -64,7 +64,7 @@ def picture_of(capture):
 def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
     """Return the sample as this scanner measures it, through all steps.
 
-    `roll_rad` is the roll of its projector that its rig does not have.
+    `roll_rad` is a roll of the real projector that the rig file does not state.
     """
     stack = light(scanner.light_code(), rolled(scanner.rig, roll_rad), sample.truth.depth_m)
     exposure = scanner.exposure

@@ -90,7 +90,7 @@ def rewritten(old, new):
 
 
 def shares(out):
-    """Update the manifest's shares to the map of reasons."""
+    """Set the shares in the manifest to those of the map of reasons."""
     reason = cv2.imread(str(out / SCENE / "reason_sl/000000.png"), -1)
     entries = {r.name.lower(): float((reason == r).mean()) for r in Reason}
     manifest(lambda m: m["reasons"].update(entries))(out)
@@ -233,7 +233,7 @@ def recolored(out):
 
 
 def reseal(out):
-    """Compute all checksums again, as somebody who knows the format would do after a change."""
+    """Compute all checksums again, as a person who knows the format would do after a change."""
     for scene in (out / "train").iterdir():
         path = scene / "manifest.json"
         record = json.loads(path.read_text())
@@ -251,7 +251,7 @@ def reseal(out):
     path.write_text(json.dumps(record))
 
 
-# Each of these is noticed even without sums, by the check with these words.
+# Each of these faults is detected even without checksums; the text is part of the message.
 KNOWN = {
     "scanner depth 3 px to the right": (picture("depth_sl", moved(0, 3)), "depth_sl and reason_sl"),
     "scanner depth mirrored": (picture("depth_sl", np.fliplr), "depth_sl and reason_sl disagree"),
@@ -309,7 +309,7 @@ KNOWN = {
     "a part that no file knows": (hidden_part, "the scene has 5"),
 }
 
-# Only the sums show these changes.
+# Only the checksums reveal these changes.
 SUMS_ALONE = {
     "scanner depth 1 mm deeper": picture("depth_sl", further(1.0)),
     "scanner depth 1 mm nearer": picture("depth_sl", further(-1.0)),
@@ -405,7 +405,7 @@ SUMS_ALONE = {
     ),
 }
 
-# Intended changes: whoever computes the checksums again has done nothing wrong.
+# These changes are valid once the checksums are computed again.
 OF_SUMS = {
     "a file more": (stray, "notes.txt was not written with the scene"),
     "a manifest without sums": (

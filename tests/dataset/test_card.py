@@ -59,7 +59,7 @@ def test_a_rewritten_card_keeps_its_licence(dataset, tmp_path):
 
 
 def test_the_card_does_not_depend_on_the_dataset_s_path(dataset, tmp_path):
-    """With and without given statistics, as the dataset has fewer scenes than are drawn."""
+    """The statistics are the same with and without a sample, as it includes all the few scenes."""
     (dataset / "README.md").unlink(missing_ok=True)  # another test stated a licence
     write_card(dataset)
     first = files_of(dataset)

@@ -1,4 +1,4 @@
-"""Each silent fault is noticed by the sums, and some also by checks of form and of models.
+"""Checksums detect every silent fault; checks of form and of models detect some of them, too.
 
 `corruptions.py` has the faults by name. The dataset is simulated, so that pictures, light and code
 are what a scanner makes of a scene.
@@ -44,7 +44,7 @@ def copy(sound, tmp_path):
 
 
 def some(names, every):
-    """All of them in the slow tests, and some in each run."""
+    """Return test parameters, of which only every `every`-th is outside the slow suite."""
     return [name if k % every == 0 else slow(name) for k, name in enumerate(names)]
 
 
@@ -54,7 +54,7 @@ def test_at_least_80_faults_are_tested():
 
 @pytest.mark.parametrize("fault", some([*KNOWN, *SUMS_ALONE], 20))
 def test_a_changed_file_has_another_checksum(copy, fault):
-    """In the moment that hashing takes: neither pictures nor models are read."""
+    """The fast check only computes digests: it reads neither pictures nor models."""
     do = SUMS_ALONE[fault] if fault in SUMS_ALONE else KNOWN[fault][0]
     do(copy)
     problems = [problem.what for problem in validate(copy, fast=True)]
@@ -87,7 +87,7 @@ def test_a_scene_from_another_dataset_is_detected_without_reading_pictures(copy)
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", SUMS_ALONE)
 def test_faults_that_the_content_does_not_show_are_detected_by_checksums(copy, fault):
-    """So the list of these faults stays true."""
+    """With recomputed checksums, validation accepts these changes, so the list is correct."""
     SUMS_ALONE[fault](copy)
     assert validate(copy) != ()
     reseal(copy)

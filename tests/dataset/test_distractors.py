@@ -59,7 +59,7 @@ def test_only_labelled_parts_have_labels_and_pictures_show_all_parts():
 
 
 def test_a_distractor_in_front_removes_pixels_from_a_label():
-    """The visible mask is the rest of the whole one; no part of it moves to another label."""
+    """The visible mask is the rest of the whole mask; no part of it moves to another label."""
     whole = sample((BOX, FOREIGN))
     own = labelled(whole)
     hidden = 0

@@ -1,4 +1,4 @@
-"""Scenes in BOP's form: several images, pictures of several formats, and errors of damage."""
+"""Scenes in BOP's form: several images, pictures of several formats, errors for damaged files."""
 
 import json
 
@@ -18,7 +18,7 @@ POSE = {"obj_id": 7, "cam_R_m2c": [1, 0, 0, 0, 1, 0, 0, 0, 1], "cam_t_m2c": [0, 
 
 @pytest.fixture
 def scene(tmp_path):
-    """Write images 10 and 9, in this order, with every freedom of BOP that ours do not use."""
+    """Write images 10 and 9, in this order, in forms that BOP allows but we do not write."""
     folder = tmp_path / "000048"
     for kind, number, ending in (("depth", 9, "png"), ("rgb", 9, "jpg"), ("rgb", 10, "tif")):
         (folder / kind).mkdir(parents=True, exist_ok=True)

@@ -150,7 +150,7 @@ def test_the_data_of_each_image_are_read_back(dataset_and_samples):
 
 
 def test_further_images_do_not_change_the_first(dataset_and_samples, samples, opened, tmp_path):
-    """Names differ and the records have more images; the entries of the first do not differ."""
+    """File names differ and records have more images, but the first image's entries are equal."""
     with opened(tmp_path / "one") as store:
         store.write(0, [samples[0]])
     one, several = tmp_path / "one/train/000000", dataset_and_samples[0] / "train/000000"

@@ -30,7 +30,7 @@ def content(out: Path, *, timings: bool = True):
 
 
 def fail_after(monkeypatch, writes, error):
-    """Let some files be written; the next write then fails in the middle."""
+    """Make a write fail in its middle after the given number of complete writes."""
     real, count = store_module._write, iter(range(10**6))
 
     def write(path, pieces, *, to_disk):
@@ -59,7 +59,7 @@ def test_a_crash_while_writing_leaves_no_scene(opened, samples, tmp_path, monkey
 def test_all_files_except_masks_are_synced_before_the_scene_folder_is_renamed(
     opened, samples, tmp_path, monkeypatch
 ):
-    """A power cut after the rename would otherwise leave whole names with empty files."""
+    """Otherwise a power cut after the rename would leave a finished scene with empty files."""
     out, at_sync = tmp_path / "out", {}
     real = os.fsync
 

@@ -1,4 +1,4 @@
-"""Depth in another unit, and holes filled with the farthest depth."""
+"""Checks for depth in a wrong unit, filled holes, and ray lengths."""
 
 import numpy as np
 import pytest
@@ -11,14 +11,14 @@ RANGE = {"near_m": 0.67, "far_m": 1.0, "name": "a.png", "whose": "the detector l
 
 
 def slope(rng, middle_m=0.88):
-    """Return a floor with a slope of 0.2 m, noise of a millimetre, and steps of 0.02 mm."""
+    """Return depth of a floor that rises by 0.2 m, with noise of 1 mm and steps of 0.02 mm."""
     depth_m = middle_m + np.linspace(-0.1, 0.1, 120)[None] + 1e-3 * rng.standard_normal((90, 120))
     return np.rint(depth_m / 2e-5) * 2e-5
 
 
 @pytest.mark.parametrize("factor", [5, 0.02, 10, 0.1, 1000, 0.001, 25.4, 1 / 25.4])
 def test_depth_in_another_unit_is_refused(factor):
-    """The scales of a public report are 5 and 0.02; the others are mm, cm, 0.1 mm and inches."""
+    """A public report has the factors 5 and 0.02; the others are mm, cm, 0.1 mm and inches."""
     depth_m = factor * slope(np.random.default_rng(0))
     with pytest.raises(
         DatasetError, match=r"a\.png: .*learnt 0\.67 to 1 m: .*another unit"
@@ -44,7 +44,7 @@ def test_filled_holes_are_named_with_their_share_and_depth():
 
 @pytest.mark.parametrize("step_m", [2e-5, 1e-3, 2e-3])
 def test_measured_depth_in_coarse_steps_is_not_called_filled_holes(step_m):
-    """The floor faces the camera, with noise of 1 mm: its farthest step has few pixels."""
+    """On a floor that faces the camera with noise of 1 mm, the farthest step has few pixels."""
     rng = np.random.default_rng(3)
     flat = np.rint((0.88 + 1e-3 * rng.standard_normal((90, 120))) / step_m) * step_m
     assert filled_holes(flat, "a.png") is None
@@ -56,9 +56,9 @@ def test_measured_depth_in_coarse_steps_is_not_called_filled_holes(step_m):
 
 @pytest.mark.parametrize("pixels", [5, 100])
 def test_a_few_pixels_at_the_same_distant_depth_are_reported(pixels):
-    """A sentinel in floats, such as 65.535 m, is named for any share of pixels."""
+    """A sentinel such as 65.535 m in floats is reported for any share of pixels."""
     depth_m = slope(np.random.default_rng(4))
-    assert depth_m.size > 20 * pixels  # below the share of filled holes
+    assert depth_m.size > 20 * pixels  # The share is too small for filled holes.
     depth_m.flat[:pixels] = 65.535
     note = filled_holes(depth_m, "a.png")
     assert "exactly the farthest depth, 65.53 m" in note or "65.54 m" in note
@@ -66,7 +66,7 @@ def test_a_few_pixels_at_the_same_distant_depth_are_reported(pixels):
 
 
 def heap(f_px, seed):
-    """Return a tilted table, about half hidden by parts, with 1 mm of noise; and its optics."""
+    """Return depth of a tilted table that parts half hide, with 1 mm of noise, and the optics."""
     rng = np.random.default_rng(seed)
     optics = Optics(width_px=120, height_px=90, fx_px=f_px, fy_px=f_px, cx_px=59.5, cy_px=44.5)
     z_m = 0.8 / (picture_rays(optics) @ np.array([0.2, -0.1, 1.0]))
@@ -79,7 +79,7 @@ def heap(f_px, seed):
 
 @pytest.mark.parametrize("f_px", [75.0, 150.0, 300.0], ids=["wide", "usual", "narrow"])
 def test_a_plane_distinguishes_z_from_the_length_of_rays(f_px):
-    """Oracle: the length is z times the norm of the ray; the fit detects the plane itself."""
+    """Oracle: the length is z times the norm of the ray."""
     z_m, optics = heap(f_px, seed=0)
     length_m = z_m * np.linalg.norm(picture_rays(optics), axis=-1)
     z, lengths = plane_shares([z_m], optics), plane_shares([length_m], optics)

@@ -1,4 +1,4 @@
-"""A solid of noisy depth is shaded like the true surface; its steps and its geometry stay."""
+"""A solid from noisy depth: shading normals, steps and highlights of the true surface."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from graycast.world.scene import Layout, Scene
 # A pixel is 0.5 mm wide at 0.5 m.
 CAMERA = Optics(width_px=160, height_px=120, fx_px=1000.0, fy_px=1000.0, cx_px=79.5, cy_px=59.5)
 NOISE_M = 1e-4
-ROUNDS: Rounds = ((1, 3, 6e-4), (2, 3, 3e-4))  # the rounds of a rescan
+ROUNDS: Rounds = ((1, 3, 6e-4), (2, 3, 3e-4))  # as in a rescan
 CENTRE_M, RADIUS_M = np.array([0.0, 0.0, 0.58]), 0.08
 TILTED = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
 
@@ -56,7 +56,7 @@ def solid(depth_m, *, smooth=True, camera=CAMERA):
 
 
 def is_top(mesh):
-    """Return a mask of the faces of the surface; the sides run along the camera's rays."""
+    """Return a mask of the faces of the top; the sides are parallel to the camera's rays."""
     middle = mesh.vertices_m[mesh.faces].mean(axis=1)
     return (mesh.face_normal * middle).sum(axis=1) < -0.1 * np.linalg.norm(middle, axis=1)
 
@@ -70,7 +70,7 @@ BENT = replace(CAMERA, distortion=(-2.0, 0.0, 1e-2, -2e-2, 0.0))
 
 @pytest.mark.parametrize("camera", [CAMERA, BENT])
 def test_shading_normals_of_an_exact_plane_equal_the_normal_of_the_plane(camera):
-    """The lens with distortion moves the corner of the picture by 3 pixels."""
+    """Distortion moves the corner of the picture by 3 pixels."""
     mesh = solid(plane_m(camera=camera), camera=camera)
     assert off_deg(mesh.corner_normals[is_top(mesh)], -TILTED).max() < 0.3
 
@@ -83,9 +83,9 @@ def test_shading_normals_of_an_exact_plane_equal_the_normal_of_the_plane(camera)
     ],
 )
 def test_noise_tilts_shading_normals_much_less_than_facets(depth_m, normal_at):
-    """A slope from independent noise s over a Gaussian window of width w errs by about
+    """Independent noise s in a Gaussian window of width w causes an error of a slope of about
     s / (5 w^2): 0.2 degrees for 13 x 13 pixels. The cut at 1.7 widths and the weights for edges
-    double this; at the rim, half a window doubles it again.
+    double this error. At the rim, where half of the window is empty, it doubles again.
     """
     mesh = solid(noisy(depth_m))
     top = is_top(mesh)
@@ -106,7 +106,7 @@ def test_shading_normals_do_not_move_the_surface():
 
 @pytest.mark.parametrize("step_m", [0.02, 0.003])
 def test_surfaces_at_a_step_keep_their_own_normals(step_m):
-    """Roofs of opposite tilt meet at a step, which the mesh joins only if it is below 5 mm."""
+    """Planes of opposite tilt meet at a step, which the mesh joins only if it is below 5 mm."""
     left, right = (np.array([side, 0.0, 1.0]) / np.hypot(side, 1.0) for side in (0.3, -0.3))
     on_left = np.arange(CAMERA.width_px) < 80
     depth_m = np.where(on_left, plane_m(left, 0.5), plane_m(right, 0.5 + step_m))
@@ -119,8 +119,8 @@ def test_surfaces_at_a_step_keep_their_own_normals(step_m):
         assert near_step.sum() > 50
         off = off_deg(mesh.corner_normals[top], -normal)[near_step]
         assert np.median(off) < 1.5
-        assert off.max() < 13  # a mean of both surfaces would be off by 16.7
-    if step_m > 0.005:  # each surface reaches the step
+        assert off.max() < 13  # The mean of both normals would be off by 16.7 degrees.
+    if step_m > 0.005:  # Each surface extends to the step.
         at_step = np.abs(column - 79.5) < 0.3
         tilt = mesh.corner_normals[top][at_step][:, 0]
         assert (np.abs(np.abs(tilt) - 0.287) < 0.12).all()
@@ -136,7 +136,7 @@ def test_the_sides_of_a_solid_are_flat():
 
 
 def highlight(renderer, mesh, roughness=0.15):
-    """Return the light of a metal solid under a projector 40 mm to the camera's right."""
+    """Render a metal solid under a projector 40 mm to the right of the camera; return its light."""
     from graycast.rendering import Quality
 
     rig = preset_rig("paper", "small")
@@ -162,7 +162,7 @@ def highlight(renderer, mesh, roughness=0.15):
 
 
 def width_px(light):
-    """Return the radius about the mirror's place within which half of the highlight's light is."""
+    """Return the radius [px] around the mirror direction that contains half of the light."""
     y, x = np.mgrid[: CAMERA.height_px, : CAMERA.width_px]
     radius = np.hypot(x - CAMERA.cx_px - 40, y - CAMERA.cy_px)
     order = np.argsort(radius[radius < 38])
@@ -172,8 +172,8 @@ def width_px(light):
 
 @pytest.mark.slow
 def test_a_highlight_on_noisy_depth_is_as_wide_as_on_the_true_plane(mitsuba_renderer):
-    """The mirror's place is 20 mm to the right of the camera's axis, 40 pixels. Normals that err by
-    0.5 degrees (rms) widen a lobe of 1.3 degrees by 4 %, by the sum of squares along each axis.
+    """The mirror direction is at 20 mm (40 pixels) to the right of the camera's axis. Normals with
+    an error of 0.5 degrees RMS widen a lobe of 1.3 degrees by 4 %: squares add along each axis.
     """
     facing = plane_m(np.array([0.0, 0.0, 1.0]))
     exact, smooth, facets = (

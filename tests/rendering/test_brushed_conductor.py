@@ -44,7 +44,7 @@ def metal(along, across, reflectance=GOLD):
 def one_reflection(wi, wo, along, across):
     """Return D G2 / (4 cos cos) of white facets, by Heitz' D over slopes and his Lambda.
 
-    x lies along the grain.
+    x is along the grain.
     """
     half = (wi + wo) / np.linalg.norm(wi + wo, axis=0)
     slope2 = (half[0] / half[2] / along) ** 2 + (half[1] / half[2] / across) ** 2
@@ -69,7 +69,7 @@ def one_reflection(wi, wo, along, across):
 def test_white_metal_with_grooves_absorbs_no_light(
     cpu_device, roughness, anisotropy, limit, turn_deg, angle_deg
 ):
-    """The limits are those in `grained_lost_share`."""
+    """The limits are those in `rough_conductor.lost_share`."""
     bsdf = metal(*widths(roughness, anisotropy), WHITE)
     weight = samples_of(bsdf, leaning(angle_deg, turn_deg), 400_000)[2][0]
     error = weight.std() / np.sqrt(weight.size)
@@ -142,7 +142,7 @@ def test_sample_densities_integrate_to_one_and_samples_follow_them(
 @pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [0, 60])
 def test_samples_reflect_the_same_light_and_mean_direction_as_values(cpu_device, angle_deg):
-    """The reflected light and its mean direction, from samples and from a sum of values."""
+    """Compare reflected light and its mean direction from samples with sums of values."""
     bsdf, wi, n = metal(*widths(0.7, 0.8)), leaning(angle_deg, 25), 400_000
     wo, _, weight = samples_of(bsdf, wi, n)
     other = upper(n, 5)
@@ -155,7 +155,7 @@ def test_samples_reflect_the_same_light_and_mean_direction_as_values(cpu_device,
 @pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "limit"), [(0.3, 1.05), (0.5, 1.04)])
 def test_the_reciprocity_error_is_below_its_documented_limit(cpu_device, roughness, limit):
-    """The table in docs/explanation/light.md: within 60 degrees, at anisotropy 0.8."""
+    """Oracle: the table in docs/explanation/light.md, within 60 degrees at anisotropy 0.8."""
     import mitsuba as mi
 
     bsdf = metal(*widths(roughness, 0.8), WHITE)

@@ -81,7 +81,7 @@ def traced(tracer, seed):
 
 
 def in_the_camera_s_picture(values):
-    """Return the picture of values on SUB x SUB points a pixel, blurred by the disc of the psf."""
+    """Return the picture of values on SUB x SUB points per pixel, blurred by the psf's disc."""
     r = CAMERA_PSF * SUB
     at = np.arange(-math.ceil(r), math.ceil(r) + 1)
     disc = (at[:, None] ** 2 + at**2 <= r * r).astype(float)

@@ -90,7 +90,7 @@ def lit_walls(renderer, *surfaces, pattern, seeds, samples=64):
 @pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.01, slow(0.05)])
 def test_a_mirror_lights_a_wall_like_a_mirror_image_of_the_projector(mitsuba_renderer, roughness):
-    """Irradiance, edges and columns in closed form; facets blur the edges by one or two pixels."""
+    """Oracle: irradiance, edges and columns in closed form; facets blur edges by 1 or 2 pixels."""
     mirror = strip(metal(roughness))
     runs = lit_walls(mitsuba_renderer, mirror, pattern=ramp(RIG), seeds=range(6))
     straight, mirrored, level = expected_on_the_wall(RIG, 96, 72)
@@ -206,8 +206,8 @@ def z_of(a, b):
 def test_camera_and_projector_paths_together_agree_with_brute_force(
     mitsuba_renderer, from_the_camera_alone, case
 ):
-    """The oracle is brute force: 32,768 camera paths per pixel. A weight, Jacobian or pupil wrong
-    by 0.5 % would be five standard errors of the whole picture.
+    """The oracle is brute force: 32,768 camera paths per pixel. A 0.5 % wrong weight, Jacobian or
+    pupil would be five standard errors of the whole picture.
     """
     scene = room(*CASES[case])
     both = pictures(mitsuba_renderer, scene, samples=512, seeds=range(8))
@@ -221,8 +221,8 @@ def test_camera_and_projector_paths_together_agree_with_brute_force(
 
 @pytest.mark.slow
 def test_camera_paths_and_projector_paths_give_equal_energy(mitsuba_renderer, monkeypatch):
-    """All light of shiny surfaces from the projector's side, and all of it from the camera's; on
-    the rough metal, both have little noise.
+    """All light of shiny surfaces is sampled from the projector only, and then from the camera
+    only; on the rough metal, both have little noise.
     """
     scene = room(CAMERA, PROJECTOR, metal(0.5, 0.9))
     shares = {"projector": (0.0, 1.0), "camera": (1.0, 0.0)}
@@ -295,7 +295,7 @@ def test_swapping_camera_and_projector_does_not_change_transported_light(mitsuba
 
 @pytest.mark.slow
 def test_one_seed_gives_one_picture_of_a_caustic(mitsuba_renderer):
-    """Threads add to one pixel in any order."""
+    """Threads may add to a pixel in any order, which must not change the sum."""
     scene = room(CAMERA, PROJECTOR, metal(0.1))
     a, b = (pictures(mitsuba_renderer, scene, samples=64, seeds=[3]) for _ in range(2))
     assert np.array_equal(a, b)
@@ -335,7 +335,7 @@ def test_the_stated_path_noise_includes_caustics(mitsuba_renderer):
 
 @pytest.mark.slow
 def test_cycles_renders_the_same_caustic_as_mitsuba(mitsuba_renderer, cycles_renderer):
-    """Another program, with camera paths only: the wall in four strips, to 3 %."""
+    """Oracle: another program, with camera paths only, on four strips of the wall, to 3 %."""
 
     def strips(renderer, samples):
         mirror = strip(metal(0.3))

@@ -58,7 +58,7 @@ def test_the_coated_material_is_reciprocal(cpu_device, alpha):
 
 @pytest.mark.parametrize("alpha", [0.09, 0.49, 1.0])
 def test_the_lobe_of_a_coat_over_black_has_the_published_shape(cpu_device, alpha):
-    """F D G2 / (4 cos cos): D by the tangent (Walter), G2 by Lambda (Heitz), F by Snell's law."""
+    """Oracle: F D G2 / (4 cos cos), D by the tangent (Walter), G2 by Lambda (Heitz), F by Snell."""
     import mitsuba as mi
 
     n = 2000
@@ -151,7 +151,7 @@ def test_a_smooth_coat_over_black_has_fresnel_s_reflectance_at_60_degrees(mitsub
 
 
 def test_a_coat_does_not_darken_a_white_wall(mitsuba_renderer):
-    """White light on a white wall at normal incidence: 1 with and without the coat."""
+    """A white wall in white light at normal incidence gives 1 with and without the coat."""
     rig = make_rig(centred(16, 16, 100), centred(8, 8, 8))
     sky = Environment(radiance=(1.0, 1.0, 1.0))
     for specular in (0.0, 0.5, 1.0):

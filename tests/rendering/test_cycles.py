@@ -1,4 +1,4 @@
-"""Cycles' child process, which may die without a loss, and features that only Cycles has."""
+"""Cycles' child process may die without loss of frames; features that only Cycles has."""
 
 import os
 import re
@@ -102,7 +102,7 @@ def assert_same_bits(one, other):
 def test_a_child_killed_during_a_scene_is_replaced_and_no_frame_is_lost_or_repeated(
     open_cycles, cycles_renderer
 ):
-    """It is killed in its third frame; the bits are the same as without."""
+    """The child is killed in its third frame; the result has the same bits as without the kill."""
     before = set(children(os.getpid()))
     done, killed = [], []
 
@@ -213,7 +213,7 @@ def test_rendering_many_scenes_in_one_child_does_not_increase_its_memory(open_cy
 
 @pytest.mark.parametrize("kind", ["missing", "no program", "without Blender"])
 def test_the_error_for_a_python_without_cycles_names_this_python(monkeypatch, tmp_path, kind):
-    """It is noticed before anything is rendered."""
+    """The missing package is noticed before anything is rendered."""
     place = {"missing": tmp_path / "gone", "no program": tmp_path / "text"}
     (tmp_path / "text").write_text("not a program")
     (tmp_path / "text").chmod(0o755)
@@ -261,7 +261,7 @@ def test_frames_of_one_scene_rendered_by_cycles_have_independent_noise(cycles_re
 
 @pytest.mark.parametrize("size", [(48, 36), (36, 48)])
 def test_blender_s_own_camera_agrees_with_the_exact_renderer(cycles_renderer, size):
-    """Square pixels and an off-centre axis, in a wide and in a tall picture. The mean of 64 well
+    """Square pixels and an off-centre axis, in a wide and in a tall picture. The mean of 64 evenly
     spread samples is within a twentieth of a pixel of the pixel's centre.
     """
     width, height = size
@@ -285,7 +285,7 @@ def test_blender_s_own_camera_agrees_with_the_exact_renderer(cycles_renderer, si
 
 
 def test_the_denoiser_reduces_noise_of_a_lit_wall_and_keeps_its_brightness(cycles_renderer):
-    """A lamp's noise at 4 samples, compared with 256. The lamp itself is out of sight.
+    """The noise of a lamp's light at 4 samples is compared with 256. The lamp is out of sight.
 
     The picture's border is ignored: Open Image Denoise brightens its first pixel by a fifth.
     """

@@ -17,8 +17,9 @@ from graycast.world.scene import Quad
 
 @pytest.mark.parametrize("z_m", [0.5, 0.7, 1.0, 1.6])
 def test_defocused_stripes_lose_contrast_as_the_blur_disc_predicts(mitsuba_renderer, z_m):
-    """Transfer of a disc at frequency 1 / P: 2 J1(x) / x, x = 2 pi R / P, below 0 beyond its first
-    zero (Goodman, "Introduction to Fourier Optics"); each pixel adds a sinc.
+    """Oracle: the transfer function of a disc at frequency 1 / P is 2 J1(x) / x with x = 2 pi R /
+    P, which is negative beyond its first zero (Goodman, "Introduction to Fourier Optics"); each
+    pixel adds a sinc.
     """
     period_px, f_px, focus_m = 16, 160.0, 0.5
     projector = blurred(centred(160, 16, f_px), focus_m, aperture_m=40e-3)
@@ -159,7 +160,7 @@ def test_the_blur_of_a_measured_projector_has_its_shape_at_every_distance(mitsub
 
 
 def test_the_renderer_and_the_optics_module_use_equal_blur_radii(mitsuba_renderer):
-    """Others use `optics.blur_radius_px` to plan."""
+    """Other functions use `optics.blur_radius_px` for planning."""
     lens = blurred(centred(96, ROWS, 300.0), 0.5, psf_px=2.0)
     deviation, error = camera_spread(mitsuba_renderer, lens, 0.9, samples=256)
     assert isinstance(lens, Optics)

@@ -1,4 +1,4 @@
-"""Open Image Denoise, called as its own shortcut does, with and without a GPU."""
+"""Open Image Denoise, called as its convenience function calls it, with and without a GPU."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""LLVM is chosen by file name; old versions are never loaded, and the chosen one computes."""
+"""LLVM is chosen by file name; old versions are never loaded, and the chosen version works."""
 
 import json
 import os

@@ -121,7 +121,7 @@ def orders(cosine, thickness_m, color):
 
 @pytest.mark.slow
 def test_a_glass_slab_in_front_of_the_camera_displaces_and_dims_the_scene(mitsuba_renderer):
-    """Snell's parallel shift, Fresnel's losses and Beer's law, in each pixel's column and level."""
+    """Oracle: Snell's parallel shift, Fresnel's losses and Beer's law, in column and level."""
     thickness_m, color = 0.06, 0.7
     rig = make_rig(centred(24, 18, 60), centred(240, 120, 140), baseline_m=(0.35, 0.0, 0.0))
     half_m = np.array([0.12, 0.12, thickness_m / 2])
@@ -188,7 +188,7 @@ def test_a_glass_slab_in_the_projector_s_beam_displaces_and_dims_its_light(mitsu
 
 @pytest.mark.parametrize("color", [1.0, 0.5])
 def test_a_glass_ball_loses_only_the_light_that_its_colour_absorbs(mitsuba_renderer, color):
-    """All chords of a ray are equal: `R + (1 - R)^2 a / (1 - R a)`, which is 1 if a is."""
+    """All chords of a ray are equal: `R + (1 - R)^2 a / (1 - R a)`, which is 1 if a is 1."""
     ball = Sphere(center_m=(0.0, 0.0, 0.5), radius_m=0.1, material=glass("solid", (color,) * 3))
     scene = in_camera(NARROW, ball, environment=Environment(radiance=(1 / 3,) * 3))
     light = radiance(mitsuba_renderer, scene, depth=4, samples=512).ambient
@@ -284,8 +284,8 @@ def test_a_ball_lens_focuses_the_projector_s_light_onto_a_wall(mitsuba_renderer)
 
 @pytest.mark.slow
 def test_light_that_passes_metal_and_glass_is_counted_only_once(mitsuba_renderer, monkeypatch):
-    """Camera paths alone give the light of both kinds of paths, if none starts at glass. Metal
-    lights the wall by a glass ball and a pane; its own reflections are seen through them.
+    """Oracle: camera paths alone, which give all light if no path starts at glass. Metal lights the
+    wall through a glass ball and a pane; its own reflections are visible through them.
     """
     rig = make_rig(centred(24, 16, 28), centred(96, 72, 70), baseline_m=(0.1, 0.02, 0.01))
     metal = Material(base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.4)
@@ -330,7 +330,7 @@ def test_light_that_passes_metal_and_glass_is_counted_only_once(mitsuba_renderer
 
 
 def test_only_mitsuba_renders_glass():
-    """The error of the reference renderer names it as the remedy."""
+    """The error of the reference renderer names Mitsuba as the remedy."""
     scene = in_camera(NARROW, wall(1.0, replace(glass("thin"), specular=0.0)))
     with open_renderer("reference") as renderer, pytest.raises(ValueError, match="use mitsuba"):
         quality = Quality(samples=1, depth=1)

@@ -21,9 +21,7 @@ WHITE = Environment(radiance=(1.0, 1.0, 1.0))
     ],
 )
 def test_a_white_body_reflects_exactly_all_light(mitsuba_renderer, words):
-    """It is convex and in a furnace, so that light is reflected once; to 0.2 %, the limit of the
-    tables of metal and coat.
-    """
+    """A convex body in a furnace reflects light once; the tables of metal and coat allow 0.2 %."""
     material = Material(base_color=(1.0, 1.0, 1.0), **words)
     rig = make_rig(centred(24, 24, 40), centred(8, 8, 8))
     ball = Sphere(center_m=(0.0, 0.0, 1.0), radius_m=0.5, material=material)

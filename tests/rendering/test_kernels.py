@@ -22,7 +22,7 @@ from graycast.world.scene import Environment, Lamp
 
 @pytest.mark.slow
 def test_changing_seed_pose_colour_lamp_layout_or_count_compiles_no_kernel(mitsuba_renderer):
-    """Light, ground truth and silhouettes; 40 and 70 parts need more than one word of bits."""
+    """This covers light, truth and silhouettes; 40 and 70 parts need more than one word of bits."""
     import drjit as dr
 
     rig = make_rig(centred(32, 24, 40), centred(16, 12, 20))

@@ -103,7 +103,7 @@ def test_each_renderer_applies_material_keys_and_lambert_s_law(cpu_device, in_cy
 
 
 def test_mitsuba_and_cycles_reflect_equally_from_metal(cpu_device, in_cycles):
-    """To 0.3 % in any direction: both are one published model with their own tables."""
+    """The tolerance is 0.3 %: both implement one published model with their own tables."""
     lamps = [(0, 0), (40, 0), (40, 180), (60, 90), (80, 180)]
     cases = [
         (with_words(metallic=1.0, roughness=r), view, lamp)
@@ -115,7 +115,7 @@ def test_mitsuba_and_cycles_reflect_equally_from_metal(cpu_device, in_cycles):
 
 
 def test_grooves_have_the_same_shape_in_both_renderers(cpu_device, in_cycles):
-    """Along x, seen and lit from all sides. Cycles' table of compensation ignores grooves: its
+    """Grooves along x are seen and lit from all sides. Cycles' compensation ignores grooves: its
     metal is darker by one factor for all lamps, in the brightest band by 0.2 % at roughness 0.2, 2
     % at 0.35 and 8 % at 0.5.
     """

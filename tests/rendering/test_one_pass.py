@@ -107,7 +107,7 @@ def test_a_pattern_in_a_stack_equals_its_separate_rendering_bit_for_bit(mitsuba_
 
 @pytest.mark.parametrize("footprint", [False, True])
 def test_a_pattern_and_its_inverse_add_up_to_white_and_black_is_dark(mitsuba_renderer, footprint):
-    """Linearity, to the rounding of float32 sums; white is also the sum of its three bands."""
+    """Oracle: linearity, to the rounding of float32 sums; white is also the sum of its bands."""
     scene, layout = corner_scene()
     code = gray(48, 36, inverses=True)
     quality = Quality(samples=8, depth=DEPTH, footprint=footprint)

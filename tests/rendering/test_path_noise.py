@@ -1,4 +1,4 @@
-"""The error of few light paths is in sigma: error of the mean position, and of stray light."""
+"""Sigma includes the errors from few light paths: of the mean position, and of stray light."""
 
 from dataclasses import replace
 

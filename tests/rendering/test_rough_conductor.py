@@ -139,7 +139,7 @@ def test_sample_densities_integrate_to_one_and_samples_follow_them(
 
 @pytest.mark.parametrize("angle_deg", [0, 60])
 def test_samples_reflect_the_same_light_and_mean_direction_as_values(cpu_device, angle_deg):
-    """The reflected light and its mean direction, from samples and from a sum of values."""
+    """Compare reflected light and its mean direction from samples with sums of values."""
     bsdf, wi, n = metal(0.7), leaning(angle_deg), 400_000
     wo, _, weight = samples_of(bsdf, wi, n)
     other = upper(n, 5)

@@ -61,7 +61,7 @@ def test_repeated_use_of_a_former_name_is_logged_once(lines):
 
 
 def test_a_current_name_causes_no_log_line(lines):
-    """The paper's rig is derived from another one."""
+    """The paper's rig is derived from another rig, whose name causes no log line either."""
     for name in PRESETS:
         preset(name, "small")
     assert lines == []

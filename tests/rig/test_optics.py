@@ -147,7 +147,7 @@ def test_the_blur_disc_is_bounded_by_rays_from_the_rim_of_the_pupil(z_m):
 
 
 def test_the_squares_of_blur_radii_add_up():
-    """3, 4, 5: defocus of 0.02 / 2 (1 / 0.5 - 1 / z) 800 px is 2 px at z = 0.5 / (1 - 0.125) m."""
+    """Oracle: hypot(2, 1.5); at 0.5 / 0.875 m, 0.02 / 2 (1 / 0.5 - 1 / z) 800 px is 2 px."""
     lens = replace(PLAIN, aperture_m=0.02, focus_m=0.5, psf_px=1.5)
     assert PLAIN.fx_px == 800.0
     assert blur_radius_px(lens, np.array([0.5 / 0.875]))[0] == pytest.approx(2.5, rel=1e-12)

@@ -272,7 +272,8 @@ def test_aiming_a_rig_at_its_own_baseline_and_distance_changes_nothing(name):
 
 
 def test_a_projector_with_lens_shift_is_aimed_with_the_middle_of_its_picture():
-    """Symptom: half of the bin dark. Its optical axis goes through the lowest row of its picture.
+    """Symptom: half of the bin was dark. The projector's axis goes through its picture's lowest
+    row.
 
     Oracle: the target is in the middle of both pictures.
     """

@@ -26,7 +26,7 @@ from graycast.rig.shelf import (
 from graycast.rig.shelf.entry import DeviceSection
 
 EVERY = pytest.mark.parametrize("name", SHELF)
-# By their makers' angles, the axes of these cross beyond the range, at 278 mm and at 1.3 m.
+# With their makers' angles, the axes of these cross beyond the range, at 278 mm and at 1.3 m.
 CROSS_BEYOND = {
     "like-phoxi-xs": 0.085 / math.tan(math.radians(17)),
     "like-zivid-2plus-m60": 0.0079 + 0.1112 / math.tan(0.085),
@@ -38,7 +38,7 @@ SOURCE = re.compile(r"  # (source: \S|quoted: \S|our choice|from memory of \S)")
 
 
 def lines_of(name):
-    """Return the lines of a scanner's file, with those of its base whose keys it has not."""
+    """Return the lines of a scanner's file, and the lines of its base for keys that it lacks."""
     lines = files("graycast.rig.shelf").joinpath(f"{name}.yaml").read_text().splitlines()
     for base in [line.split()[1] for line in lines if line.startswith("base: ")]:
         own, keep = {line.split(":")[0] for line in lines if line[0].isalpha()}, False
@@ -101,7 +101,7 @@ def test_a_base_file_that_is_unknown_or_has_its_own_base_is_refused(monkeypatch,
 
 
 def test_a_section_in_a_scanner_file_replaces_the_whole_section_of_its_base():
-    """The maker states the noise of the M60, and none of the MR60."""
+    """The maker states the noise of the M60, but not of the MR60."""
     own, base = (shelf_entry(f"like-zivid-2plus-{name}") for name in ("mr60", "m60"))
     assert (own.camera, own.t_cam_proj_m, own.far_m) == (base.camera, base.t_cam_proj_m, base.far_m)
     assert base.claims.noise is not None and own.claims.noise is None
@@ -138,7 +138,7 @@ def common_box_m(rig, z_m):
 
 @EVERY
 def test_the_common_field_of_view_agrees_with_the_maker_s_value(name):
-    """Within 10 %: makers say neither where they measure the field nor whether it is a rectangle.
+    """The tolerance is 10 %: makers do not say where they measure the field and what its shape is.
 
     The focal lengths have other sources than the fields, except in the Mech-Eye family, whose focal
     lengths were fitted to them. The sources of the XS and of the S contradict each other.
@@ -218,7 +218,7 @@ def test_a_dlp4500_has_mirrors_of_aspect_two_and_its_picture_above_the_axis():
 
 
 def test_an_office_projector_casts_its_picture_above_its_lens():
-    """115 % of half the height from the axis to the middle of the picture."""
+    """The middle of the picture is 115 % of half its height above the axis."""
     projector = preset_rig("office-projector").projector
     top, bottom = rays(projector, np.array([[511.5, -0.5], [511.5, 767.5]]))[:, 1]
     assert -(top + bottom) / (bottom - top) == pytest.approx(1.15, rel=1e-3)

@@ -1,4 +1,4 @@
-"""The cell of five real scans: without its data one line says so, and it can be made twice."""
+"""The study of five real scans stops with one line if data is missing, and can run twice."""
 
 import shutil
 import subprocess
@@ -22,7 +22,7 @@ def run_twin(root: Path, out: Path) -> subprocess.CompletedProcess:
 
 @pytest.mark.slow
 def test_the_study_stops_with_one_line_if_the_scans_are_missing(tmp_path):
-    """The repository of a stranger has no data folder next to it."""
+    """A clone of the repository has no data folder next to it."""
     root = tmp_path / "stranger" / "repository"
     for folder in ("studies", "benchmarks"):
         shutil.copytree(ROOT / folder, root / folder)

@@ -1,4 +1,4 @@
-"""A study and its pages name each other, and no study does any work on import."""
+"""Studies and their pages link to each other, and importing a study does no work."""
 
 import ast
 import re

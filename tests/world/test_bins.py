@@ -1,4 +1,4 @@
-"""Bins from mesh files: placed and measured as a configuration names them."""
+"""Bins from mesh files are placed and measured as their configuration states."""
 
 from pathlib import Path
 

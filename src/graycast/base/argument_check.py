@@ -1,8 +1,8 @@
-"""Check of the arguments of public functions: an error names each argument of a wrong kind.
+"""Check the arguments of public functions; an error names the argument of the wrong type.
 
 Without a check, a string instead of a cell causes an error only deep inside, and the message does
-not name the caller's argument. Public functions check their arguments by their own annotations. An
-array may be anything that NumPy converts to one; tests check its axes and its kind of numbers.
+not name the caller's argument. Public functions check their arguments against their annotations. An
+array may be anything that NumPy converts to one; tests check its axes and its dtype.
 """
 
 import difflib
@@ -23,14 +23,14 @@ from .progress import StatusLine, is_watched
 P = ParamSpec("P")
 R = TypeVar("R")
 
-MOST_CHARACTERS = 60  # A longer value is cut in a message.
+MOST_CHARACTERS = 60  # Error messages shorten longer values.
 
 _NOT_NEGATIVE = ("seed", "scene_id", "count", "scenes", "bins")
 _WORDS = {
     bool: "True or False", int: "a whole number", float: "a number", str: "a string",
     Path: "a pathlib.Path", type(None): "None",
 }  # fmt: skip
-_MAKERS = {  # These functions make the values that a script does not build itself.
+_MAKERS = {  # An error says how a script gets a value of these types.
     "Cell": "graycast.load_cell returns one",
     "Config": "graycast.Config(**settings) makes one of a dictionary",
     "Detector": "graycast.load_detector returns one",
@@ -39,6 +39,7 @@ _MAKERS = {  # These functions make the values that a script does not build itse
     "PickConfig": "graycast.load_pick_config returns one",
     "PictureSelection": "graycast.pictures_of returns one",
     "PoseModel": "graycast.pose_model returns one",
+    "Reflections": "graycast.open_scan(path).observations() returns one",
     "Renderer": "graycast.open_renderer returns one",
     "Rig": "graycast.preset(name).rig is one",
     "Scanner": "graycast.preset and graycast.load_scanner return one",
@@ -49,12 +50,12 @@ _MAKERS = {  # These functions make the values that a script does not build itse
 
 @cache
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a public function that refuses arguments of a kind that it does not declare.
+    """Return a wrapper of a public function that refuses arguments that do not fit its annotations.
 
-    It raises an ArgumentError that names the argument, its value and the remedy, even for negative
-    seeds and counts and for unknown arguments. For the same function, the result is always the
-    same object, which pickle finds in the package. A function with an argument `progress` that is
-    not given shows its progress in one line of a terminal or notebook until it returns.
+    The wrapper raises an ArgumentError that names the argument, its value and the remedy, even for
+    negative seeds and counts and for unknown arguments. For the same function, the result is always
+    the same object, which pickle finds in the package. If a function has an argument `progress`
+    that the caller does not give, its progress is shown in one line of a terminal or notebook.
     """
     plain = inspect.unwrap(function)
     signature = inspect.signature(plain)
@@ -95,7 +96,7 @@ def _checker(
     name: str, source: Any, signature: inspect.Signature
 ) -> Callable[[tuple[Any, ...], Mapping[str, Any]], None]:
     @cache
-    def hints() -> dict[str, Any]:  # This is lazy, as an annotation may name a later class.
+    def hints() -> dict[str, Any]:  # Evaluated late, because an annotation may name a later class.
         return typing.get_type_hints(source)
 
     def check(args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Checks that refuse users' JSON, arrays and pictures if they are damaged, too large or turned."""
+"""Refuse users' JSON, arrays and pictures that are damaged, too large, rotated or mirrored."""
 
 import re
 import struct
@@ -64,7 +64,7 @@ def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]
     gives a better error message.
 
     Args:
-        source: the file, which exists, or its content.
+        source: path of an existing file, or the content of a file.
         name: the picture's name in the error.
     """
     with open(source, "rb") if isinstance(source, Path) else BytesIO(source) as file:
@@ -76,14 +76,14 @@ def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]
 
 
 def refuse_turned(source: Path | bytes, name: str, error: type[Exception]) -> None:
-    """Raise an error of the given class if viewers show a picture turned, because of its EXIF.
+    """Raise an error of the given class if a picture's EXIF makes viewers rotate or mirror it.
 
-    Phones, and cameras that are mounted upside down, store the sensor's picture with a note on
-    how to turn it (EXIF). Viewers and labelling tools turn the picture, but our decoders do not,
-    so labels, camera matrix and pixels would not fit together.
+    Phones, and cameras that are mounted upside down, store the sensor's picture with an EXIF note
+    on how to rotate it. Viewers and labelling tools rotate the picture, but our decoders do not, so
+    labels, camera matrix and pixels would not fit together.
 
     Args:
-        source: the file, which exists, or its content.
+        source: path of an existing file, or the content of a file.
         name: the picture's name in the error.
     """
     content = source.read_bytes() if isinstance(source, Path) else source
@@ -96,7 +96,7 @@ def refuse_turned(source: Path | bytes, name: str, error: type[Exception]) -> No
 
 
 def _orientation(content: bytes) -> int:
-    """Return the EXIF orientation of a JPEG, PNG or TIFF file, 1 to 8; 1 if it states none."""
+    """Return the EXIF orientation of a JPEG, PNG or TIFF file; 1 (upright) if it is absent."""
     mark = b"eXIf" if content.startswith(b"\x89PNG") else b"Exif\0\0"
     exif = content if content[:4] in _TIFF else content.partition(mark)[2]
     try:
@@ -121,7 +121,7 @@ def load_array(path: Path) -> np.ndarray:
 def check_runs(runs: Any, where: str, error: type[Exception]) -> None:
     """Raise an error of the given class if run lengths do not fill a picture of allowed size.
 
-    pycocotools does not check this.
+    pycocotools itself does not check run lengths.
     """
     if not isinstance(runs, dict) or not isinstance(runs.get("counts"), str | list):
         raise error(
@@ -148,11 +148,11 @@ def check_runs(runs: Any, where: str, error: type[Exception]) -> None:
 
 
 def _lengths(counts: str) -> list[int] | None:
-    """Decode COCO's compressed run lengths; None if they are damaged.
+    """Decode COCO's compressed run lengths; return None if they are damaged.
 
-    Each number is stored in characters that start at '0' and hold six bits, low bits first:
-    five bits of the number and one bit that is set if more follow. From the third number
-    on, the stored value is the difference from the number two places before.
+    Each number is stored in characters that start at '0' and hold six bits, low bits first: five
+    bits of the number and one bit that is set if more follow. From the third number on, the stored
+    value is the difference from the number two positions earlier.
     """
     code = np.frombuffer(counts.encode("utf-8", "replace"), np.uint8).astype(np.int64) - 48
     more = (code & 32) > 0
@@ -192,7 +192,7 @@ def _stated_size(file: _File) -> tuple[int, int]:
     from PIL import Image  # Pillow is slow to import, and a PNG does not need it.
 
     Image.init()
-    for factory, accepts in Image.OPEN.values():  # `Image.open` would warn of large sizes.
+    for factory, accepts in Image.OPEN.values():  # `Image.open` would warn about large pictures.
         if accepts is not None and accepts(head[:16]) is True:
             return factory(file, "").size
     raise ValueError("no known format")

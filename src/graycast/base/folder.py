@@ -16,7 +16,7 @@ ASIDE = ".tmp-"
 
 
 def cache_folder(kind: str) -> Path | None:
-    """Return the folder where results of a kind are kept between runs; it may not exist yet.
+    """Return the cache folder for results of a kind; the folder may not exist yet.
 
     It is in `$XDG_CACHE_HOME`, or else in `~/.cache`; None if the user has no home. Results can
     always be computed again, so callers must go on if the folder cannot be read or written.
@@ -29,7 +29,7 @@ def cache_folder(kind: str) -> Path | None:
 
 
 def why_unwritable(folder: Path) -> str | None:
-    """Make a missing folder, and return the reason why it cannot be written, or None if it can."""
+    """Create a folder if it is missing; return the reason why it cannot be written, or None."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
@@ -42,7 +42,7 @@ def visible_entries(folder: Path) -> list[Path]:
     """Return the entries of a folder in the order of their names, without hidden entries.
 
     On drives of other systems, macOS adds a file `._NAME` for each file, and file browsers add
-    hidden files of their own. These files are no data.
+    hidden files of their own. These files contain no data.
     """
     return sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
 
@@ -67,7 +67,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file like `write_whole`, but piece by piece.
+    """Write a file as `write_whole` does, but in pieces, which a function writes.
 
     Args:
         path: the file, in a folder that exists.
@@ -91,8 +91,8 @@ def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 def beside(place: Path) -> Iterator[Path]:
     """Yield a temporary path, which is renamed to `place` when the block succeeds.
 
-    If the block fails, the path is removed. The path of a killed run remains until the next run
-    calls `remove_left`; its name begins with `ASIDE`.
+    If the block fails, the path is removed. If a run is killed, the path remains until the next run
+    calls `remove_left`, which knows such paths by `ASIDE` at the start of their names.
 
     Raises:
         OSError: the operating system refuses, or `place` is a folder that is not empty.
@@ -110,11 +110,11 @@ def beside(place: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
-    """Yield a folder in `out`; its files are moved to `out` when the block succeeds.
+    """Yield a temporary folder inside `out`; its files are moved to `out` when the block succeeds.
 
-    Other files in `out` are kept. The folder is made first, so that a command with an unwritable
-    path stops before its work and not after it. If the block fails or is stopped,
-    `out` is unchanged, or does not exist if it did not exist before.
+    Other files in `out` are kept. The folder is made first, so that a command fails at once if it
+    cannot write to `out`, and not after its work. If the block fails or is stopped, `out` is
+    unchanged, or does not exist if it did not exist before.
 
     Raises:
         GraycastError: `out` cannot be written.
@@ -130,13 +130,13 @@ def whole_folder(out: Path) -> Iterator[Path]:
                     place.rename(aside / f".before-{place.name}")
                 entry.rename(place)
     finally:
-        with suppress(OSError):  # A folder that is not empty stays.
+        with suppress(OSError):  # Only empty folders are removed.
             for folder in new_folders:
                 folder.rmdir()
 
 
 def take_lock(file: Path) -> IO[str] | None:
-    """Lock a file until it is closed or the process ends; None if another process holds it.
+    """Lock a file until it is closed or the process ends; return None if it is locked already.
 
     Raises:
         OSError: the file cannot be made, or the file system has no locks.
@@ -182,7 +182,7 @@ def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
 def remove_left(*folders: Path) -> None:
     """Remove the temporary paths that killed runs left directly in these folders.
 
-    Temporary paths of an active run would be removed, too: first take the lock of the result.
+    This also removes the temporary paths of an active run, so first lock the result.
 
     Raises:
         OSError: the operating system refuses.
@@ -221,7 +221,7 @@ def refuse_foreign(out: Path, mark: str) -> None:
 def new_folder(out: Path) -> Iterator[Path]:
     """Yield a temporary folder, which is renamed to `out` when the block succeeds.
 
-    This is for a result that consists of many files and has a folder of its own.
+    Use this for a result of many files that has a folder of its own.
 
     Raises:
         GraycastError: `out` exists and is not empty, or cannot be written.
@@ -238,7 +238,7 @@ def new_folder(out: Path) -> Iterator[Path]:
 
 @contextmanager
 def _aside(parent: Path, prefix: str) -> Iterator[Path]:
-    """Yield a hidden folder that is removed at the end; first remove those of killed runs.
+    """Yield a new hidden folder and remove it at the end; first remove those that killed runs left.
 
     Its lock distinguishes the folder of a running process from an abandoned one. On file
     systems without locks, such as some network disks, abandoned folders stay.

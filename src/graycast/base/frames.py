@@ -35,7 +35,7 @@ def inverse(T_a_b: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 4 4"]:
 def transform_points(
     T_a_b: Float[np.ndarray, "4 4"], point_b: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """Return points that are given in frame b, expressed in frame a."""
+    """Transform points from frame b to frame a."""
     return point_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
@@ -87,7 +87,7 @@ def look_at(
 ) -> Float[np.ndarray, "4 4"]:
     """Return `T_world_cam` of a camera at `eye_m` that looks at `target_m`.
 
-    The image's y axis points along `down` as far as the viewing direction allows.
+    The image's y axis is as close to `down` as the viewing direction allows.
 
     Raises:
         ValueError: eye and target coincide, or `down` is along the viewing direction.

@@ -1,10 +1,10 @@
 """Functions that Numba compiles; the compiled code is kept on disk.
 
-Numba's own cache notices only that the file of a function has changed. A kernel also takes
-functions and constants from other files, and the compiled code contains them. Here the kernels of a
-file are in a folder whose name has a digest of that file and of all files of this package that it
-imports, directly or not. So no list has to be kept, and a change elsewhere in the package causes no
-new compilation. Nothing is read or written before a kernel is compiled for the first time.
+Numba's own cache notices only that the file of a function has changed. A kernel also uses functions
+and constants from other files, and the compiled code contains them. Here the kernels of a file are
+stored in a folder whose name has a digest of that file and of all files of this package that it
+imports, directly or indirectly. So no list of dependencies is needed, and a change elsewhere in the
+package causes no new compilation. Nothing is read or written before the first compilation.
 
 The cache is optional: if no folder can be written, each process compiles the kernels that it uses.
 """
@@ -35,7 +35,7 @@ from numba.core.dispatcher import Dispatcher
 from .folder import cache_folder, why_unwritable
 
 MOST_VERSIONS = (
-    16  # Number of folders that are kept for the kernels of one file (clones, branches).
+    16  # Each clone or branch needs a folder for the kernels of a file; older folders are removed.
 )
 
 _ROOT = Path(__file__).parents[1]
@@ -72,13 +72,13 @@ def kernel_folder() -> Path | None:
 
 
 def uncached_note() -> str | None:
-    """Return why compiled kernels are not kept on disk; None if they are, or none was compiled."""
+    """Return the reason why compiled kernels are not stored on disk, or None without a problem."""
     return _problem(kernel_folder()) if _problem.cache_info().currsize else None
 
 
 @cache
 def _problem(folder: Path | None) -> str | None:
-    """Return the reason why compiled kernels cannot be kept in a folder, or None if they can."""
+    """Return the reason why compiled kernels cannot be stored in a folder, or None if they can."""
     return "this user has no home" if folder is None else why_unwritable(folder)
 
 
@@ -113,7 +113,7 @@ def imported_modules(module: str) -> frozenset[str]:
 
 
 def all_imported_modules(module: str) -> list[str]:
-    """Return a module and all modules of this package that it imports, directly or not."""
+    """Return a module and all modules of this package that it imports, directly or indirectly."""
     modules, waiting = {module}, [module]
     while waiting:
         news = imported_modules(waiting.pop()) - modules
@@ -149,7 +149,7 @@ def sources_digest(module: str) -> str | None:
 
 @final
 class _Locator(_CacheLocator):
-    """The folder of the kernels of one file, named by the digest of their sources."""
+    """Locator of the folder for one file's kernels; the folder's name has their sources' digest."""
 
     def __init__(self, file: str, line: int, module: str, folder: Path) -> None:
         self._py_file, self._line, self._module = file, line, module
@@ -168,7 +168,7 @@ class _Locator(_CacheLocator):
             line = py_func.__code__.co_firstlineno
             locator = cls(py_file, line, module, folder / f"{module}-{digest}")
             locator.ensure_cache_path()
-            os.utime(locator._folder)  # This stores the time of the folder's last use.
+            os.utime(locator._folder)  # The modification time is the time of the last use.
         except OSError:
             return None
         return locator

@@ -8,7 +8,7 @@ from .array_types import Bool
 def mask_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
     """Return the bounding box (x, y, columns, rows) of a mask, as in COCO; all 0 if it is empty.
 
-    x and y are the first column and row; columns and rows are numbers, up to the last ones.
+    x and y are the first column and row; columns and rows are the width and height in pixels.
     """
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:

@@ -88,7 +88,7 @@ def write_names(
     points: Float[np.ndarray, "n 2"],
     colors: Sequence[str],
 ) -> None:
-    """Write names next to data points; earlier names go first, and no two overlap.
+    """Write names next to data points without overlaps; earlier names have priority.
 
     A name is left out if there is no room on any side of its point, or if the point is not finite.
     The limits of the axes must be final.

@@ -1,4 +1,4 @@
-"""PLY files: the header of meshes and clouds, a writer of clouds, a reader of vertices.
+"""Write headers and point clouds of PLY files, and read vertices.
 
 trimesh reads files, but its writer stores neither the size of organised clouds nor their frame.
 """
@@ -27,7 +27,7 @@ def header(
     faces: int | None = None,
     notes: Sequence[str] = (),
 ) -> bytes:
-    """Return the header of a PLY; `properties` are (type, name), and `notes` are whole lines."""
+    """Return the header of a PLY file for `properties` (type, name); `notes` are complete lines."""
     element = [f"element face {faces}", "property list uchar int vertex_indices"]
     lines = [
         "ply",
@@ -49,7 +49,7 @@ def cloud_bytes(
     width_px: int | None = None,
     frame: str = CAMERA_FRAME,
 ) -> bytes:
-    """Return a binary PLY of points; with `width_px`, the points per row, it states the size.
+    """Return a binary PLY file of points; `width_px` (points per row) adds the size of the grid.
 
     Args:
         more: more properties of the points by name; floats are stored in single precision.
@@ -116,7 +116,7 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
         with open(path, "rb") as file:
             vertex = load_ply(file)["metadata"]["_ply_raw"]["vertex"]
         table = {name: np.ravel(vertex["data"][name]) for name in vertex["properties"]}
-    except Exception as error:  # trimesh has no class of its own for damaged files.
+    except Exception as error:  # trimesh has no exception class for damaged files.
         raise DatasetError(
             f"{path}: its vertices cannot be read ({error}): export or copy the file again"
         ) from error
@@ -133,7 +133,7 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
 
 
 def _row_sizes(lines: Sequence[str], body: bytes) -> set[int]:
-    """Return the set of the numbers of words in an ASCII file's rows of vertices."""
+    """Return the different numbers of words per row of vertices in an ASCII file."""
     elements = [line.split()[1:3] for line in lines if line.startswith("element ")]
     names = [name for name, _ in elements]
     counts = [int(count) for _, count in elements]

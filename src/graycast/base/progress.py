@@ -1,4 +1,4 @@
-"""Messages of a long task to its caller, by way of an object that the caller passes to it.
+"""Messages from a long task to its caller, through an object that the caller passes to it.
 
 As in diffrax, a task takes a `ProgressMeter`, and the caller chooses how progress is shown. The
 command line draws bars, and scripts get a line. An exception that a meter raises ends the task.
@@ -77,7 +77,7 @@ class StatusLine:
         self._stream.write(f"graycast: note: {text}\n")
 
     def clear(self) -> None:
-        """Clear the line, so that the next output begins in an empty line."""
+        """Clear the line, so that the next output begins on an empty line."""
         if self._columns:
             self._stream.write(f"\r{' ' * self._columns}\r")
             self._stream.flush()
@@ -92,7 +92,7 @@ class StatusLine:
 
 
 def is_watched(stream: TextStream | None) -> bool:
-    """Return whether a stream is shown at once, because it is a terminal's or a notebook's."""
+    """Return whether a stream belongs to a terminal or a notebook, which shows text at once."""
     if stream is None:
         return False
     return stream.isatty() or type(stream).__module__.startswith("ipykernel")

@@ -1,6 +1,6 @@
-"""Public values: their text in one line, their readable help, and refusal of unknown keywords.
+"""Give public values a one-line text and a readable help page, and refuse unknown keywords.
 
-Arrays, pictures and nested settings would fill screens. Here an array is shown by its type and
+Arrays, pictures and nested settings would fill the screen. So an array is shown by its type and
 shape, a field with its default value is left out, and "..." replaces text that is too long.
 """
 
@@ -56,7 +56,7 @@ def _parameters(signature: inspect.Signature) -> Collection[inspect.Parameter]:
 
 
 def one_line(value: object) -> str:
-    """Return a value as one line of at most `MOST_CHARACTERS`, with as many levels as fit."""
+    """Return a one-line text of at most `MOST_CHARACTERS`, with as many nested levels as fit."""
     for depth in (3, 2, 1):
         text = _value_text(value, depth)
         if len(text) <= MOST_CHARACTERS:
@@ -127,7 +127,7 @@ def _same(item: Any, default: Any) -> bool:
         return True
     try:
         return type(item) is type(default) and bool(item == default)
-    except ValueError:  # NumPy does not say whether arrays are the same.
+    except ValueError:  # A comparison of arrays has no single truth value.
         return False
 
 
@@ -155,7 +155,7 @@ def field_line(name: str, hint: Any, default: Any, meaning: str) -> str:
 
 
 def type_text(hint: Any) -> str:
-    """Return an annotation in words; for an array, these are its kind of numbers and its axes."""
+    """Return an annotation in words; an array is described by its kind of numbers and its axes."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return type_text(inner[0])

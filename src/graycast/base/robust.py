@@ -14,10 +14,10 @@ def robust_sigma(
     *,
     keepdims: bool = False,
 ) -> Any:
-    """Return the standard deviation of the zero-mean normal law with the values' median |value|.
+    """Estimate the standard deviation of normally distributed values with mean zero.
 
-    It is computed along the given axes, or over all values. NaN values are ignored; the result is
-    NaN if all values are NaN.
+    The estimate is 1.4826 times the median of |value|, along the given axes or over all values. NaN
+    values are ignored; the result is NaN if all values are NaN.
     """
     if axis is None and not values.size:
         return float("nan")

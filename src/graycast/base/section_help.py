@@ -51,7 +51,7 @@ def _default(info: Any, missing: Any) -> Any:
 def _lines(section: Any) -> Iterator[str]:
     """Yield a line for each key of a pydantic model, as for the fields of a public value.
 
-    If a key has no description but holds a section, the first sentence about that section is used.
+    If a key has no description but contains a section, the summary of that section is used.
     """
     for name, info in section.model_fields.items():
         hint, default = info.annotation, _default(info, MISSING)

@@ -1,4 +1,4 @@
-"""Sections of files with the fields of a dataclass as keys, and its bounds and descriptions."""
+"""Make sections of files from dataclasses, with the same keys, bounds and descriptions."""
 
 import math
 from collections.abc import Mapping
@@ -22,9 +22,9 @@ def section_of(
     base: type[Base],
     more: Mapping[str, Any],
 ) -> type[Base]:
-    """Return a section with the fields of a dataclass; those without a default must be given.
+    """Return a section with the fields of a dataclass; fields without a default are required.
 
-    An infinite default becomes a key that may be left out, because files hold no infinity.
+    A field whose default is infinite becomes an optional key, because files contain no infinity.
 
     Args:
         dataclass: a dataclass with `Field` in its annotations.

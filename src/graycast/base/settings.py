@@ -1,4 +1,4 @@
-"""YAML files that are read as frozen pydantic models; errors are one clear line.
+"""Read YAML files as frozen pydantic models, with errors of one clear line.
 
 The bounds of a number are stated only once, by pydantic's `Field` in the annotation of the value's
 own dataclass. The dataclass refuses values that its annotations do not allow (`check_fields`).
@@ -82,7 +82,7 @@ class Settings(BaseModel, metaclass=SectionType):
     def __get_pydantic_json_schema__(
         cls, core: Any, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Describe a key that holds a section by the first paragraph of that section."""
+        """Describe a key that contains a section by the first paragraph of that section."""
         schema = handler(core)
         for node in handler.resolve_ref_schema(schema).get("properties", {}).values():
             for option in (node, *node.get("anyOf", ())):
@@ -178,7 +178,7 @@ def read_settings(path: Path, model: type[Model]) -> Model:
 
 
 def check_settings(content: Mapping[str, Any], model: type[Model], path: Path) -> Model:
-    """Check the content of a file against a model."""
+    """Check the content of a file against a model; raise a ConfigError if it does not fit."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -224,10 +224,10 @@ def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
 
 
 def _first_problem(error: ValidationError, model: type[Settings], *, whole: str) -> str:
-    """Return the first of pydantic's complaints in one line: key, value and allowed values.
+    """Return the first problem that pydantic reports, in one line: key, value and allowed values.
 
     Args:
-        whole: a name for all keys together, for a complaint that is not about a single key.
+        whole: a name for all keys together, for a problem that is not about a single key.
     """
     problems = error.errors(include_url=False)
     # pydantic counts only valid items, so a list with an invalid item may also be "too short".
@@ -259,7 +259,7 @@ def _hint(model: type[Settings], location: tuple[int | str, ...]) -> str:
     return nearest(str(key), known)
 
 
-# Pydantic names these kinds in words of Python, which a file does not have.
+# Pydantic describes these types in Python's terms, which users of YAML files need not know.
 _KINDS = {
     "tuple_type": "a list",
     "bool_type": "true or false",
@@ -304,8 +304,8 @@ def setting_description(model: type[Settings], key: str) -> str:
 def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list[str], list[str]]:
     """Return the keys that lead to a problem, and the keys that are allowed there (JSON Schema).
 
-    If a key `kind` chooses between sections, pydantic adds the choice to its locations. It is left
-    out here, so that users read only keys of their files.
+    If a key `kind` chooses between sections, pydantic adds the choice to its locations. The choice
+    is left out here, because it is not a key of the user's file.
     """
     schema = _schema(model)
     path, options = [], [schema]
@@ -321,7 +321,7 @@ def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list
 
 
 def _sections(node: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the schemas that a value may follow, with references resolved and sections first."""
+    """Return the schemas that a value may match, with references resolved and sections first."""
     if "$ref" in node:
         return [schema["$defs"][node["$ref"].rsplit("/", 1)[1]]]
     choices = node.get("anyOf", node.get("oneOf"))

@@ -2,8 +2,8 @@
 
 A stream is identified by its number or by its index in a tuple, so a change in one stream does not
 affect the others, and new streams are added at the end. If a stream belongs to one of several
-scanners, its key has the scanner's index in the configuration or its name, so no two scanners share
-random numbers. The first scanner has the random numbers of the only scanner of a cell.
+scanners, its key contains the scanner's index in the configuration or its name, so scanners do not
+share random numbers. The first scanner has the same random numbers as a cell's only scanner.
 """
 
 from enum import IntEnum
@@ -19,7 +19,7 @@ EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # A robot's seed ha
 
 
 class CaptureStream(IntEnum):
-    """Streams of the seed with which pictures are taken; the noise of a shot uses no stream.
+    """Streams of the seed with which pictures are taken; the noise of a shot uses the seed itself.
 
     `FIXED_PATTERN` is a stream of the sensor's seed, which may be the same number.
     """
@@ -31,7 +31,7 @@ class CaptureStream(IntEnum):
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """Return a generator for a seed and a key; other keys give independent random numbers."""
+    """Return a generator for a seed and a key; different keys give independent random numbers."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 

@@ -1,3 +1,3 @@
-"""The version of Graycast, which the files that it writes state."""
+"""The version of Graycast, which its output files state."""
 
 __version__ = "0.1.0"

@@ -2,7 +2,7 @@
 
 import yaml
 
-_MOST_COPIED = 1_000_000  # The largest honest file with aliases is some thousand times smaller.
+_MOST_COPIED = 1_000_000  # Real files with aliases are about a thousand times smaller.
 
 
 class OneOfEachKey(yaml.SafeLoader):

@@ -154,7 +154,7 @@ def _planes(z, ray, radius, jump_m):
 
 @kernel(nogil=True, error_model="numpy")
 def _fit(q, x, y, n):
-    """Return a, b and c of the best fit `q = a x + b y + c`; c is -1 if there is none."""
+    """Return a, b and c of the best fit `q = a x + b y + c`; c is -1 without a fit."""
     qm, xm, ym = 0.0, 0.0, 0.0
     for k in range(n):
         qm, xm, ym = qm + q[k], xm + x[k], ym + y[k]

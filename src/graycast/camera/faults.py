@@ -1,4 +1,4 @@
-"""A depth error of real devices that their measuring principle does not explain, for simulations.
+"""Simulate a depth error of real devices that their measuring principle does not explain.
 
 A scanner that outputs a smaller or rectified map selects one of several measured points for each
 pixel. The point is right, but on a sloping surface its depth differs from the depth at the centre

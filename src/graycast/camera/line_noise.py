@@ -1,10 +1,10 @@
 """Random errors in the brightness of projector lines, which differ from picture to picture.
 
-A laser line that sweeps over the scene is modulated in time, and its power never quite has the
-wanted value. Each line of each picture has its own relative error. It is constant along the line
-or, with a correlation length, varies along it. Pixels that see the same point of a line share its
-error, so the noise is correlated along the projector's lines and independent across them. Longer
-exposure or more light does not reduce it.
+A laser line that sweeps over the scene is modulated in time, and its power deviates at random from
+the wanted value. Each line of each picture has its own relative error. It is constant along the
+line or, with a correlation length, varies along it. Pixels that see the same point of a line share
+its error, so the noise is correlated along the projector's lines and independent across them.
+Longer exposure or more light does not reduce it.
 
 Leaves out: correlation between adjacent lines; pixels that see several lines; the blur of a line;
 indirect light; perspective and inclination of the lines in the camera's picture.

@@ -64,7 +64,7 @@ def idle_share(rig: Rig) -> float:
 
 
 def gray_picture(capture: Capture) -> UInt8[np.ndarray, "h w"]:
-    """Return `relative_light` of the first frame, which is white, in 8 bits; 255 is 1 or more."""
+    """Return `relative_light` of the first frame, which is white, in 8 bits, clipped to 255."""
     return np.round(np.minimum(relative_light(capture, 0), 1) * 255).astype(np.uint8)
 
 

@@ -30,7 +30,7 @@ from ..base.streams import CaptureStream
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
 EXACT_POISSON_BELOW_E = 64.0  # Above, the skewness is below 1 / 8, and a normal law is used.
-# A full well still has read noise, so a value up to this many standard deviations below is full.
+# A full well has read noise, so values up to this many standard deviations lower count as full.
 SATURATION_SIGMAS = 4.0
 
 
@@ -39,8 +39,8 @@ SATURATION_SIGMAS = 4.0
 class SensorSpec:
     """A linear sensor with the aperture of its lens; the default is a 5-megapixel CMOS chip.
 
-    The fixed patterns (`dsnu_e`, `prnu`) are white and depend only on `fpn_seed`, so they are
-    the same in every capture. Give two devices two seeds.
+    The fixed patterns (`dsnu_e`, `prnu`) are white and depend only on `fpn_seed`, so they are the
+    same in every capture. Different devices need different seeds.
     """
 
     pixel_pitch_m: Annotated[

@@ -199,10 +199,10 @@ def light_path_px(code: Code, noise: PathNoise) -> dict[Axis, Float[np.ndarray, 
     """Return the standard deviation of positions from the noise of rendered light [projector px].
 
     A phase has the error of the mean position of the direct light. A share s of stray light turns a
-    phase by up to s at random, which is `s / sqrt(2) * period / (2 pi)` as a position. Periods have
-    the stray light from near positions in common, but not that from distant ones: half of the
-    variance is taken as common, and half as independent and reduced by averaging. The sigma of a
-    Gray code already contains the width of a cell, so the width is subtracted here.
+    phase by up to s at random, which is `s / sqrt(2) * period / (2 pi)` as a position. Stray light
+    from near positions affects all periods equally, but that from distant ones does not: half of
+    the variance is taken as common, and half as independent and reduced by averaging. The sigma of
+    a Gray code already contains the width of a cell, so the width is subtracted here.
     """
     sigma_px = {}
     for axis, plan in plan_axes(code, fine_bits=0).items():

@@ -1,4 +1,4 @@
-"""Laser speckle on the sensor: uneven light within a pixel, whose centre is off the pixel's centre.
+"""Laser speckle on the sensor, which makes light uneven within a pixel and shifts its centre.
 
 Coherent light from a rough surface makes a pattern of speckles on the sensor, as fine as the lens
 resolves. A pixel sums several speckles: its light varies by a contrast, and its centre of light is
@@ -137,11 +137,11 @@ def footprint_px(sensor: SensorSpec, *, side: float = 1.0) -> float:
 def draw_speckle(
     contrast: Float[np.ndarray, "h w"], sensor: SensorSpec, *, seed: int, side: float = 1.0
 ) -> Speckle:
-    """Draw speckle for pixels that each have a contrast and an active square of a `side` [px].
+    """Draw speckle for pixels with these contrasts and an active square of a `side` [px].
 
     Brightness has a gamma distribution of mean 1 (integrated speckle, Goodman), computed as the
-    cube of a normal number (E. B. Wilson, M. M. Hilferty, 1931). The first moment of light is
-    independent and normal. The centre is moment over brightness, so dark pixels move farthest.
+    cube of a normal number (E. B. Wilson, M. M. Hilferty, 1931). The first moment is
+    independent and normal. The centre is moment over brightness, so in dark pixels it moves most.
     """
     rng = stream(seed, CaptureStream.SPECKLE)
     fields = _correlated(rng.standard_normal((3, *contrast.shape), dtype=np.float32), sensor, side)

@@ -14,5 +14,5 @@ Each imports only from those above it:
     remedies         changed settings that give the parts more depth, tried on a scene's light
     engine           workers that make scenes: this process, other processes, or a cluster
     generate         many scenes of a cell in the folder of a dataset (`dataset.store`), and the
-                     missing ones after a stop
+                     missing scenes of a stopped run
 """

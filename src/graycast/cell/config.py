@@ -68,7 +68,7 @@ class BinSection(Settings):
 
     @model_validator(mode="after")
     def _one_shape(self) -> "BinSection":
-        # Values are compared, since a configuration from a manifest has every key.
+        # Values are compared with defaults, because a configuration from a manifest sets every key.
         of_other = ("unit", "up_axis") if self.mesh is None else ("inner_m", "wall_m")
         fields = BinSection.model_fields
         names = [name for name in of_other if getattr(self, name) != fields[name].default]
@@ -231,7 +231,7 @@ class Config(ScannerSections):
 
     @model_validator(mode="after")
     def _one_way_to_look(self) -> "Config":
-        # Values are compared, since a configuration from a manifest has every key.
+        # Values are compared with defaults, because a configuration from a manifest sets every key.
         used = {"distance_m", "target_m"} if isinstance(self.views, DomeSection) else set()
         if self.views is not None and not isinstance(self.views, JitterSection):
             plain = ViewSection(**self.view.model_dump(include=used))

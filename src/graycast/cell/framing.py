@@ -16,7 +16,7 @@ from ..world.parts import Part
 from ..world.scene import Bin, Layout, Scene, bin_of
 from .views import Pose, ViewSection, hang
 
-# These scanners copy a maker's; scanners that a user builds from other devices are left out.
+# These presets model manufacturers' products. Presets of self-built scanners are left out.
 SCANNERS = tuple(name for name in SHELF if name.startswith("like-"))
 ENOUGH = 0.85  # The first scanner with this share of the best `bin_share` is taken.
 EDGE = 0.02  # This share of a picture stays free at each of its edges.

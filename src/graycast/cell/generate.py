@@ -249,7 +249,7 @@ def _task(cell: Cell, seed: int, device: str) -> SceneTask:
 
 
 def _claimed(task: SceneTask) -> dict[str, Any]:
-    """Return the content of `graycast.json` for this run."""
+    """Return the arguments of `open_store` and of `make_claim` for this run."""
     cell = task.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     beside = (cell.file_digests, described_scanner(cell.scanner))

@@ -12,7 +12,7 @@ from .framing import bin_corners_m
 
 
 def metered_region(scene: Scene, exposure: ExposureSpec) -> Bool[np.ndarray, "h w"] | None:
-    """Return the pixels that look into the bin; None if there is no bin or no such pixel.
+    """Return a mask of the pixels that see into the bin; None without a bin or such a pixel.
 
     The region is the hull of the bin's inner corners, like a user's region of interest; the parts
     do not change it. Fixed exposures need no region, so the result is None for them, too.

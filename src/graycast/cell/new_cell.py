@@ -83,7 +83,7 @@ def fitted_surface(path: Path) -> PartSurface:
     # A byte order mark, and the marks of a document, are not allowed inside a section.
     own = text.removeprefix("\ufeff").splitlines()
     own = [f"  {line}" for line in own if line.strip() not in ("", "---", "...")]
-    parse_yaml("\n".join(own), path)  # It refuses other lines that a section cannot have.
+    parse_yaml("\n".join(own), path)  # This call refuses any other line that a section cannot have.
     lines = (f"material:   # from {path.name!r}", *own)
     return PartSurface(material=material, density_kg_m3=None, lines=lines)
 

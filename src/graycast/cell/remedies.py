@@ -61,7 +61,7 @@ def depth_shares(
 
 
 def advice(now: DepthShares, tries: Mapping[str, DepthShares]) -> str:
-    """Return a text on wrong depths, and on the change that adds most depth without more of them.
+    """Return a text on the wrong depths and on the change that adds most depth but few wrong ones.
 
     A change that adds even more depth, but also more wrong depths, is named with both shares.
 
@@ -89,7 +89,7 @@ def advice(now: DepthShares, tries: Mapping[str, DepthShares]) -> str:
 
 
 def depth_note(shot: Shot, scanner: Scanner) -> str:
-    """Return why under half of the parts' pixels have depth, and the change that helps most.
+    """Return why fewer than half of the parts' pixels have depth, and the change that helps most.
 
     Each change is tried on the light of the scene, without another rendering. The note is empty if
     at least half of the pixels have depth.

@@ -56,9 +56,9 @@ _Poses = Callable[..., tuple[Pose, ...]]
 class Eye:
     """One image of a scene: the scanner and its pose.
 
-    `sensor` is the scanner's name, "" for a single one; `image` counts its images from 0; `station`
-    is its index in the configuration. If the scanner is mounted on the first scanner, `T_first_cam`
-    is its pose there, and it moves with the first scanner's image of the same number; else None.
+    `sensor` is the scanner's name, or "" if it is the only one; `image` is the number of its image,
+    from 0; `station` is its index in the configuration. `T_first_cam` is the pose of a scanner that
+    is mounted on the first one and moves with its image of the same number; otherwise it is None.
     """
 
     sensor: str
@@ -74,7 +74,7 @@ class Eye:
 class Cell:
     """A configuration with its files' contents. All scenes of a dataset share it.
 
-    `scene` holds every kind of part; a scene drops one of the kinds, or all if `config.mix` is set.
+    `scene` has every kind of part; a scene drops one of the kinds, or all if `config.mix` is set.
     Its rig and pose, and `scanner`, belong to the first image. `named` has all scanners by name, if
     the configuration names them.
     """
@@ -95,7 +95,7 @@ class Cell:
 
     @property
     def code(self) -> Code:
-        """The code that the scanner shows."""
+        """The code that the scanner projects."""
         return self.scanner.light_code()
 
     def with_own(self, *, code: Code | None = None, sensor: SensorSpec | None = None) -> "Cell":
@@ -370,7 +370,7 @@ def open_configured(
 def file_digests(config: Config, folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file that a configuration names, so that a change is noticed.
 
-    They include the materials and pictures that a mesh file uses. File names are as in the
+    The files include the materials and pictures that a mesh file uses. File names are as in the
     configuration, or begin with the folder of the mesh there.
     """
     named = [section.mesh for section in config.parts]

@@ -41,7 +41,7 @@ _PACKAGES = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Shot:
-    """One finished image, with the steps from radiance to sample for pictures of it."""
+    """One finished image, with the intermediate results from its rendering to its decoded code."""
 
     sample: Sample
     rendering: Rendering
@@ -142,7 +142,7 @@ def _taken(
     renderer: Renderer,
     progress: ProgressMeter,
 ) -> Shot:
-    """Take one image: light, sensor, decoding. `manifest` and `timings` come from earlier steps."""
+    """Render, capture and decode one image; `manifest` and `timings` come from earlier steps."""
     config, scanner, seeds = cell.config, eye.scanner, manifest["seeds"]
     if cell.own:
         manifest = manifest | {"own": own_record(cell)}
@@ -207,7 +207,7 @@ def own_record(cell: Cell) -> dict[str, Any]:
 
 
 def on_part(scene: Scene, layout: Layout, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels that see a labelled part."""
+    """Return a mask of the pixels that see a labelled part."""
     labelled = [scene.parts[kind].labelled for kind in layout.part_index]
     return np.array([*labelled, False])[truth.instance]  # -1 means no part
 

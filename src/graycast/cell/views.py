@@ -20,7 +20,7 @@ from ..world.scene import Bin
 Pose = Float[np.ndarray, "4 4"]
 MOST_VIEWS = 1000
 FARTHEST_SIGMAS = 3.0  # A jitter beyond this many sigmas is drawn again.
-_BEYOND = 0.05  # [rad] beyond a picture's edge, as a lens may bend the edge's middle outwards
+_BEYOND = 0.05  # [rad] margin beyond a picture's edges, which distortion may bend outwards
 _TURN = 13  # number of azimuths at which the depth of a dome is computed
 
 Tilt = SpanOf[Annotated[float, Field(ge=0, le=80)]]
@@ -61,7 +61,7 @@ class ViewSection(Settings):
     def _one_pose(self) -> "ViewSection":
         if self.T_world_cam is None:
             return self
-        # Values are compared, since a configuration from a manifest has every key.
+        # Values are compared with defaults, because a configuration from a manifest sets every key.
         own = {name: field.default for name, field in ViewSection.model_fields.items()}
         others = [n for n in own if n != "T_world_cam" and getattr(self, n) != own[n]]
         if others:

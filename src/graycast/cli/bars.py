@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.progress import Progress, TaskID
 
-# Only the command that draws loads the rest of rich, so that --help answers at once.
+# The rest of rich is imported only when bars are drawn, so that --help answers at once.
 
 
 @final

@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _note_lack_of_cache() -> None:
     """Print a note if compiled code cannot be kept for the next command."""
-    kernels = sys.modules.get("graycast.base.kernels")  # Loading it takes a while.
+    kernels = sys.modules.get("graycast.base.kernels")  # An import here would be slow.
     problem = None if kernels is None else kernels.uncached_note()
     if problem is not None:
         print(

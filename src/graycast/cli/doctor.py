@@ -1,4 +1,4 @@
-"""The libraries and devices of this machine, with the use of each missing one."""
+"""List the libraries and devices of this machine, and what each missing one is needed for."""
 
 import os
 import platform
@@ -52,7 +52,7 @@ class Finding:
 
 
 def examine() -> tuple[Finding, ...]:
-    """Return findings for all libraries and devices; checks that may crash run in a child."""
+    """Return findings for all libraries and devices; risky checks run in a child process."""
     return (*_software(), *_machine(), *_devices())
 
 

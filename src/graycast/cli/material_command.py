@@ -58,10 +58,8 @@ def add_material(group) -> None:
 
 
 def _material(options: argparse.Namespace) -> None:
-    import numpy as np
-
+    from ..base.folder import whole_folder
     from ..real.fitted_config import refuse_there
-    from ..real.material import divide, open_scan, read_masks, scale_of
     from ..real.material.classes import MOST_CLASSES
 
     if (options.reference is None) != (options.reflectance is None):
@@ -73,8 +71,25 @@ def _material(options: argparse.Namespace) -> None:
     names = [options.out]
     if options.mask is None:
         names += [_numbered(options.out, number) for number in range(MOST_CLASSES)]
-        refuse_there(_classes_path(options.out))
-    refuse_there(*names, *(name.with_suffix(".png") for name in names))
+        names.append(_classes_path(options.out))
+    files = [*names, *(name.with_suffix(".png") for name in names)]
+    refuse_there(*files)
+    # The files appear together at the end, because the files of a killed run would block the next.
+    with whole_folder(options.out.parent) as folder:
+        _write(options, folder)
+        written = [options.out.with_name(entry.name) for entry in sorted(folder.iterdir())]
+        refuse_there(*files)  # Another process may have written the files meanwhile.
+    print()
+    for path in written:
+        print(path)
+
+
+def _write(options: argparse.Namespace, folder: Path) -> None:
+    """Fit the material, or that of each class, and write the files to a folder."""
+    import numpy as np
+
+    from ..real.material import divide, open_scan, read_masks
+
     mask = None if options.mask is None else read_masks(options.mask)
     white = None if options.reference is None else read_masks(options.reference)
     scan = open_scan(options.stack, None if options.rig is None else resolve_rig_option(options))
@@ -82,19 +97,22 @@ def _material(options: argparse.Namespace) -> None:
         print(f"warning: {warning}")
     scale = None
     if white is not None:
-        scale = scale_of(scan.observations(white), options.reflectance)
+        scale = scan.scale(white, options.reflectance)
     if lost := scan.saturated_pixels(mask):
         print(f"note: {lost} saturated pixels are left out: no depth between them shows a plane")
     if mask is None:
         observations = scan.observations()
         division = divide(observations, scale=scale, seed=options.seed)
         if division.count > 1:
-            _fit_classes(options, scan, observations, division, scale=scale, white=white)
+            _fit_classes(
+                options, scan, observations, division, scale=scale, white=white, folder=folder
+            )
             return
         print("one class: all pixels agree with one material")
         mask = None if white is None else ~white
     area = np.ones(scan.surface_m.shape, dtype=bool) if mask is None else mask
-    _fit(options, scan, scan.observations(mask), area, scale=scale, out=options.out)
+    out = folder / options.out.name
+    _fit(options, scan, scan.observations(mask), area, scale=scale, out=out)
 
 
 def _numbered(out: Path, number: int) -> Path:
@@ -105,7 +123,9 @@ def _classes_path(out: Path) -> Path:
     return out.with_name(f"{out.stem}_classes.png")
 
 
-def _fit_classes(options: argparse.Namespace, scan, observations, division, *, scale, white):
+def _fit_classes(
+    options: argparse.Namespace, scan, observations, division, *, scale, white, folder: Path
+) -> None:
     """Write the material of each class and the picture of the classes.
 
     The class with most pixels of the reference is matt and has the stated reflectance.
@@ -123,15 +143,14 @@ def _fit_classes(options: argparse.Namespace, scan, observations, division, *, s
     print(f"{division.count} classes of material")
     for number in range(division.count):
         print(f"\n{describe_class(observations, division, number)}")
-        members = observations.part(division.members(number))
+        members = observations.part(np.flatnonzero(division.members(number)))
         area = np.zeros(scan.surface_m.shape, dtype=bool)
         area[tuple(members.pixel.T)] = True
-        out = _numbered(options.out, number)
+        out = folder / _numbered(options.out, number).name
         if number == reference:
             matt = scale_of(members, options.reflectance) / scale * options.reflectance
             print(f"the surface of --reference; as a matt surface, the class reflects {matt:.3f}")
             write_whole(out, matt_text(options.reflectance, _source(options, scan)).encode())
-            print(out)
             continue
         try:
             _fit(options, scan, members, area, scale=scale, out=out)
@@ -140,9 +159,8 @@ def _fit_classes(options: argparse.Namespace, scan, observations, division, *, s
             refusals.append(error)
     if len(refusals) == division.count - (reference is not None):
         raise refusals[0]
-    path = _classes_path(options.out)
+    path = folder / _classes_path(options.out).name
     write_whole(path, classes_picture(scan.result.light[0], observations, division))
-    print(f"\n{path}")
 
 
 def _source(options: argparse.Namespace, scan) -> str:
@@ -164,5 +182,3 @@ def _fit(options: argparse.Namespace, scan, observations, area, *, scale, out: P
     print("\n".join(describe_fit(fit, mottle)))
     write_whole(out, material_text(fit, _source(options, scan), mottle).encode())
     draw_fit(fit, observations, out.with_suffix(".png"))
-    print(out)
-    print(out.with_suffix(".png"))

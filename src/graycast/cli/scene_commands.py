@@ -30,7 +30,7 @@ from .rescan_command import add_rescan
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 PORT = 8337
-WIDTH_PX = 1300  # a test compares it with the page's number
+WIDTH_PX = 1300  # The page has the same number; a test compares both.
 GENERATE = """\
 If the command is stopped or killed, the same command continues the dataset, because a scene depends
 only on the configuration, the seed and the number of the scene. If a worker dies, it is replaced
@@ -159,7 +159,7 @@ def _preview(options: argparse.Namespace) -> int:
     print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
     if note := depth_note(shot, scanner):
         print(f"note: {note}")
-    draw_preview(shot, scanner.light_code(), options.out)  # Draw last: Ctrl-C leaves no file.
+    draw_preview(shot, scanner.light_code(), options.out)  # Drawn last: Ctrl-C leaves no file.
     print(options.out)
     return 0
 

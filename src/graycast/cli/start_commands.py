@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..world.parts import Part
 
 DEMO_PART = "metal_workpiece_1"
-METAL_KG_M3, OTHER_KG_M3 = 7850.0, 1000.0  # Steel and water, if nothing names the substance.
+METAL_KG_M3, OTHER_KG_M3 = 7850.0, 1000.0  # Defaults: the densities of steel and of water.
 DEMO = """\
 It writes the configuration of a cell with machined brackets in a bin, a dataset of three scenes,
 and a picture of one of them. If the command is stopped, the same command continues."""

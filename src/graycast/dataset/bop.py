@@ -69,7 +69,7 @@ def scene_files(samples: Iterable[Sample], scale_mm: float) -> Iterator[tuple[st
 def scanner_files(
     sample: Sample, scale_mm: float, obj_ids: Sequence[int]
 ) -> tuple[list[tuple[str, bytes]], dict[str, Any]]:
-    """Return what a scan adds to an image of another dataset: pictures, masks and JSON entries.
+    """Return the pictures, masks and JSON entries that a scan adds to an image of another dataset.
 
     Args:
         obj_ids: the object ids of the scene's labelled parts, in order.
@@ -99,14 +99,14 @@ class _SceneRecord:
 
     def __init__(self) -> None:
         self.manifest: dict[str, Any] = {}
-        self.records: dict[str, dict[str, Any]] = {}  # The keys are the file and the image.
-        self.coco: dict[str, dict[str, Any]] = {}  # The key is the file.
+        self.records: dict[str, dict[str, Any]] = {}  # The keys are file and image number.
+        self.coco: dict[str, dict[str, Any]] = {}  # The key is the file's name.
 
     def image(self, name: str, number: int, entry: Any) -> None:
         self.records.setdefault(name, {})[str(number)] = entry
 
     def of_manifest(self, sample: Sample) -> None:
-        """Store a sample's facts: the first sample's for the scene, all later ones in lists."""
+        """Add a sample's facts to the manifest: the first sample's as keys, later ones to lists."""
         facts = {} if sample.raw is None else raw_facts(sample.raw)
         facts = {**sample.manifest, **facts}
         sensor = {"sensor": sample.sensor} if sample.sensor else {}
@@ -123,7 +123,7 @@ class _SceneRecord:
 def _unsealed_files(
     samples: Iterable[Sample], scale_mm: float, scene_record: _SceneRecord
 ) -> Iterator[tuple[str, bytes]]:
-    """Yield all files but the manifest, whose content is collected in `scene_record`."""
+    """Yield all files except the manifest, whose content is collected in `scene_record`."""
     for sample in samples:
         camera = sample.scene.rig.camera
         _check_shapes(sample, (camera.height_px, camera.width_px))
@@ -232,7 +232,7 @@ def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
 
 
 def _distortion(camera: Optics) -> dict[str, Any]:
-    """Return the key `distortion`, which BOP does not know, or nothing for an ideal lens."""
+    """Return the lens distortion, under a key that BOP does not define; empty for an ideal lens."""
     return {"distortion": list(camera.distortion)} if camera.has_distortion else {}
 
 
@@ -280,7 +280,7 @@ def _boxes_3d(sample: Sample) -> list[dict[str, Any]]:
 
 
 def _info(silhouettes: _Silhouettes, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
-    """Return an entry of `scene_gt_info.json`; it counts pixels as bop_toolkit's calc_gt_info."""
+    """Return an entry of `scene_gt_info.json`, with pixel counts as in bop_toolkit."""
     inside, visible_px = silhouettes.inside, int(silhouettes.visible.mask.sum())
     h, w = inside.mask.shape
     window = depth[inside.top_px : inside.top_px + h, inside.left_px : inside.left_px + w]

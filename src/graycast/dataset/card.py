@@ -35,7 +35,7 @@ CARD = "README.md"
 FOLDER = "card"  # The card's pictures are in this folder.
 UNSTATED = "not stated"
 _NO_LICENCE = "unknown"  # The Hugging Face Hub uses this word.
-SAMPLED = 40  # If no statistics are given, this number of pictures is read.
+SAMPLED = 40  # If no statistics are given, at most this number of pictures is read.
 _MOST = 3
 _TILE_PX = 480
 _NAMED = 4  # A title names at most this many parts.
@@ -106,7 +106,7 @@ def stated_licence(dataset: Path) -> str | None:
 
 
 def counts_all_scenes(dataset: Path) -> bool:
-    """Return whether the card and the dataset have equal numbers of scenes; False without a card.
+    """Return whether the card counts as many scenes as the dataset has; False without a card.
 
     A README without a card's figures was written by its owner and is accepted (True).
     """
@@ -142,7 +142,7 @@ def escaped(text: str) -> str:
 
 
 def fenced(text: str) -> str:
-    """Return a YAML code block whose fence is longer than any row of backticks in the text."""
+    """Return a YAML code block whose fence is longer than any run of backticks in the text."""
     longest = max((len(row) for row in re.findall("`+", text)), default=0)
     fence = "`" * max(3, longest + 1)
     return f"{fence}yaml\n{text}{fence}"

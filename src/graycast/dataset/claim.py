@@ -122,7 +122,7 @@ def described_values(value: Any) -> dict[str, Any]:
 
 
 def claimed_options(options: Any, *, without: Collection[str]) -> dict[str, Any]:
-    """Return the fields of an options dataclass for a claim, by name.
+    """Return the fields of an options dataclass by name, as JSON values for a claim.
 
     A field that is added to the dataclass later enters the claim automatically.
 
@@ -225,7 +225,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
 
 
 def _same_by_current_names(content: Mapping[str, Any], claim: Mapping[str, Any]) -> bool:
-    """Return whether two claims differ only in former names of rigs, and both are unmodified."""
+    """Return whether the stored claim is unmodified and differs only in former names of rigs."""
     if content["fingerprint"] != fingerprint(content):
         return False
     one, other = (parse_json(with_current_names(json.dumps(c))) for c in (content, claim))

@@ -40,7 +40,7 @@ def scene_annotation(
     height_px: int,
     width_px: int,
 ) -> dict[str, Any]:
-    """Return an entry of `scene_gt_coco.json` without its id, with the keys of calc_gt_coco.
+    """Return an entry of `scene_gt_coco.json`, without id, with the keys of calc_gt_coco.
 
     As in bop_toolkit, `box` is [x, y, width, height] of the amodal mask inside the image.
     """

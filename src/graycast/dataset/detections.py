@@ -1,4 +1,4 @@
-"""The detections in a picture, and COCO results files, which hold them."""
+"""Detections in a picture, and COCO results files that store them."""
 
 import json
 import math

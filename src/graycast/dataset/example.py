@@ -13,7 +13,7 @@ from ..base.frames import rigid
 from ..base.public_value import public_value
 from .records import MM_PER_M
 
-if TYPE_CHECKING:  # Datasets can be read with few packages, but a camera needs more.
+if TYPE_CHECKING:  # Reading a dataset does not import the packages that a camera needs.
     from ..rig.optics import Optics
 
 
@@ -76,7 +76,7 @@ class Example:
         return optics_of(self.K, depth.shape, self.distortion or (0.0,) * 5)
 
     def points(self) -> arrays.FloatArray_n_3:
-        """Return the measured point cloud [m] in the camera frame; without a scan, the true one.
+        """Return the points [m] in the camera frame: measured or, without a scan, true ones.
 
         Raises:
             DatasetError: the example has no depth or no intrinsics.
@@ -89,9 +89,9 @@ class Example:
         return points(camera, depth_m)[np.isfinite(depth_m)]
 
     def hidden(self, min_visibility: float) -> arrays.BoolArray_n:
-        """Return the instances that do not count: ignored or less visible than the threshold.
+        """Return a mask of the hidden instances: ignored ones, and those below the threshold.
 
-        If the visible fractions are unknown, only the ignored ones are hidden.
+        If the visible fractions are unknown, only ignored instances are hidden.
 
         Raises:
             DatasetError: the example has no labels.
@@ -112,7 +112,7 @@ class Example:
 
 
 def display_image(example: Example) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a picture to draw on: colour, else the white frame, else depth (near is light).
+    """Return a picture to draw on: colour, else the white frame, else depth (near is bright).
 
     Missing depth is black.
 
@@ -168,10 +168,10 @@ def pose_m(rotation: list[float], translation_mm: list[float]) -> Float[np.ndarr
 
 
 def known_depth(value: np.ndarray) -> Bool[np.ndarray, "..."]:
-    """Return a mask of the numbers in a depth picture that are distances.
+    """Return a mask of the pixels of a depth picture that contain a distance.
 
-    The other numbers are 0, NaN, infinity and the type's largest number (65535 for 16 bits), which
-    cameras write where they measured nothing; even a single such pixel counts as missing.
+    Cameras write 0, NaN, infinity or the type's largest value (65535 for 16 bits) where they
+    measured nothing, so all pixels with these values count as missing.
     """
     if value.dtype.kind in "ui":
         return (value != 0) & (value != np.iinfo(value.dtype).max)

@@ -75,7 +75,7 @@ def mask_problems(
 
 
 def _of_no_image(path: Path, scene: Plain) -> list[str]:
-    """Return masks without an image; only the first image's check reports them, so once each."""
+    """Return the names of masks that belong to no image; empty unless `scene` is image 0."""
     if scene.number:
         return []
     has = {f"{number:06d}" for number in scene.numbers}
@@ -159,7 +159,7 @@ def _surface_problems(
             f"pixels, by {np.median(off):.3g} mm in the middle"
         )
     hidden = rendered & mask & ~visible
-    # Where parts touch, both parts have the same depth along a line, as at edges.
+    # The edge tolerance applies here, too: parts that touch have equal depths along a line.
     covered = (depth_mm > 0) & (depth_mm < z_mm - tolerance_mm)
     bare = int((hidden & ~covered).sum())
     if bare > DEPTH_PX + DEPTH_SHARE * hidden.sum() + allowed:

@@ -65,8 +65,8 @@ def _info(part: Part) -> dict[str, Any]:
 def diameter(points: Float[np.ndarray, "n 3"]) -> float:
     """Return the largest distance between any two points, in their unit.
 
-    Only corners of the convex hull can be that far apart; a flat set of points has no hull, and all
-    of its points are compared.
+    The farthest points are corners of the convex hull. If the points are flat, there is no hull,
+    and all points are compared.
     """
     try:
         points = points[ConvexHull(points).vertices]
@@ -79,7 +79,7 @@ def diameter(points: Float[np.ndarray, "n 3"]) -> float:
 def _ply(part: Part, texture_name: str | None) -> bytes:
     """Return ASCII PLY as bop_toolkit's `load_ply` reads it: one normal, uv or colour per vertex.
 
-    A vertex whose corners disagree in normal or uv is written once per kind of corner.
+    A vertex whose corners differ in normal or uv is written once for each distinct corner.
     """
     mesh = part.mesh
     columns = [mesh.faces.reshape(-1, 1), np.round(_corner_normals(mesh).reshape(-1, 3), 6) + 0.0]
@@ -107,7 +107,7 @@ def _ply(part: Part, texture_name: str | None) -> bytes:
 
 
 def _corner_normals(mesh: Mesh) -> Float[np.ndarray, "f 3 3"]:
-    """Return the mesh's own normals, else the angle-weighted means of the faces at each vertex.
+    """Return the mesh's normals or, without any, angle-weighted means of face normals at vertices.
 
     Source: G. Thürmer, C. Wüthrich, "Computing vertex normals from polygonal facets", 1998.
     """

@@ -20,7 +20,7 @@ _SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 
 
 def depth_scale_mm(reach_m: float) -> float:
-    """Return the millimetres of one step of a depth picture that holds depths up to `reach_m`.
+    """Return the depth step [mm] with which 16 bits can store depths up to `reach_m`.
 
     It is the finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65534 steps reach `reach_m`:
     0.02 mm up to 1.31 m. A step is thus 1/65534 to 1/26213 of `reach_m`, well under a scanner's
@@ -40,9 +40,9 @@ def depth_scale_mm(reach_m: float) -> float:
 def depth_steps(
     depth_m: Float[np.ndarray, "h w"], scale_mm: float, *, needed: Bool[np.ndarray, "h w"]
 ) -> UInt16[np.ndarray, "h w"]:
-    """Return depth in steps of the scale; 0 if unknown, or unneeded and too deep for 16 bits.
+    """Return depth in steps of the scale; 0 if unknown, or too deep for 16 bits and not `needed`.
 
-    A table without end has no largest depth, so only parts and measurements must fit.
+    The table has infinite depths, so only pixels of parts and of measurements must fit.
     """
     steps = np.rint(depth_m.astype(np.float64) * (MM_PER_M / scale_mm))
     fits = (steps >= 1) & (steps <= DEPTH_MAX)  # False for NaN

@@ -56,7 +56,7 @@ class Plain:
 
     @property
     def lens(self) -> Optics:
-        """Lens of this image, from its own K, which must fit its poses, masks and depth."""
+        """Lens of this image, from the intrinsics of the image itself."""
         return optics_of(self.view.cam_K, self.image["depth"].shape[:2], self.view.distortion)
 
 

@@ -1,4 +1,4 @@
-"""Estimated poses, and BOP's results files, which hold them."""
+"""Estimated poses, and BOP's results files that store them."""
 
 import csv
 import math

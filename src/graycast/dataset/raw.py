@@ -2,9 +2,9 @@
 
 The pictures are in a scene's `frames/` as the sensor stored them, with the files that `graycast rig
 decode` needs: `stack.yaml` describes each picture and how to decode it, and `rig.yaml` describes
-the scanner. Decoding gives the numbers of `depth_sl`, except where a filter compares with sigma:
-the command does not know the exposure, on which speckle depends, nor the renderer's sampling
-noise, because neither is stored with the pictures.
+the scanner. Decoding reproduces `depth_sl`, except where a filter compares with sigma: sigma
+depends on the exposure (through speckle) and on the renderer's sampling noise, and neither is
+stored with the pictures.
 """
 
 import io

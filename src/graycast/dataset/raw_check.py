@@ -20,7 +20,7 @@ from .scene_folder import SceneFolder, of_sensor
 
 # A pixel with one of these reasons has a projector position, even if its depth was rejected.
 _POSITIONED = (Reason.DECODED, Reason.OUT_OF_RANGE, Reason.OUTLIER)
-_GRAY_DN = 1  # Processors may round a half differently.
+_GRAY_DN = 1  # Values halfway between two steps may round differently on other processors.
 
 
 def raw_problems(

@@ -85,7 +85,7 @@ def read_claim(out: Path) -> Claim | RealClaim:
 
 
 def absent(out: Path) -> tuple[str, ...]:
-    """Return, in words, what a dataset of real pictures lacks; empty for a simulated dataset.
+    """Return in words the data that a dataset of real pictures lacks; empty if it is simulated.
 
     Raises:
         DatasetError: see `read_claim`.

@@ -82,7 +82,7 @@ class ImageRecord(Record):
     def has_original(self) -> bool:
         """Whether the scan's folder has the original's files: True for datasets in BOP's form.
 
-        For another layout, the image's files in BOP's form come from its own entries.
+        For any other layout, `entries` contains the image's `scene_camera`, too.
         """
         return "scene_camera" not in self.entries
 

@@ -14,7 +14,7 @@ from ..camera.sensor import Capture
 from ..rendering.radiance import GroundTruth
 from ..world.scene import Layout, Scene
 
-LEAST_DECODED = 1e-3  # A smaller share can come from wrong codes alone.
+LEAST_DECODED = 1e-3  # Wrong codes alone can give a smaller share of decoded pixels.
 
 
 @public_value

@@ -19,8 +19,8 @@ from .scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
 
 R = TypeVar("R")
 
-BOX_MM = 1e-3  # Models store the sizes of 3D boxes with nine digits.
-WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # Two cameras give one pose in double precision.
+BOX_MM = 1e-3  # This is a tolerance, because models store sizes with nine digits.
+WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # Poses from two cameras may differ by rounding.
 
 _OF_IMAGE = ("scene_camera", "scene_gt", "scene_gt_info")
 

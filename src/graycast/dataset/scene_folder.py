@@ -1,9 +1,9 @@
-"""Read a scene in BOP's form, ours or foreign; no other module knows the names of its files.
+"""Read a scene in BOP's form, from Graycast or another program. Only this module knows file names.
 
-A JSON file is named after its content, with an entry under the number of each image. There is a
-folder for each kind of picture; a picture's name is the image's number, and a mask's name has also
-the instance's number. Names end in a camera type unless they are of the first camera: `depth_sl` is
-our scanner's depth. A scanner's name comes before it: `rgb_left`, `depth_left_sl`. We write PNGs.
+A JSON file is named after its content and has an entry for each image's number. Each kind of
+picture has a folder. A picture is named by the image's number, a mask also by the instance's
+number. Names end in a camera type, except for the first camera: `depth_sl` is the scanner's depth.
+A scanner's name precedes the camera type: `rgb_left`, `depth_left_sl`. Graycast writes PNGs.
 """
 
 import re
@@ -21,7 +21,7 @@ from .records import Count, Distortion, Images, Matrix3, Positive, Vector
 from .safe_reading import Form, Unreadable, read_json, read_mask, read_picture, read_png, record_as
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-SCANNER = "_sl"  # Our own datasets add this camera type.
+SCANNER = "_sl"  # Graycast's own datasets add this camera type.
 OWN_PICTURES = {
     "rgb": np.uint8,
     "depth": np.uint16,
@@ -110,7 +110,7 @@ class SceneFolder:
     def find_picture(
         self, kind: str, number: int, endings: tuple[str, ...] = PICTURES
     ) -> Path | None:
-        """Return the path of a picture of any format; None if there is none.
+        """Return the path of a picture of any format; None if the picture does not exist.
 
         BOP's names have six digits; names with fewer or more digits are found, too.
 
@@ -177,7 +177,7 @@ class AnyCamera(_Promised):
     """One image in the `scene_camera.json` of a dataset that may lack the depth scale."""
 
     cam_K: Matrix3
-    distortion: Distortion = [0.0] * 5  # Only our datasets have this key.
+    distortion: Distortion = [0.0] * 5  # Only Graycast's datasets have this key.
 
 
 class AnyView(AnyCamera):

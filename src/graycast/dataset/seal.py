@@ -20,7 +20,7 @@ from .safe_reading import png_pixels
 
 MANIFEST = "manifest.json"
 SUMS, OWN = "sha256", "manifest_sha256"  # A manifest has both keys; `graycast.json` has the first.
-# A scene's further images have these; the facts of the first image are the manifest's own keys.
+# These keys list the facts of later images; the first image's facts are keys of the manifest.
 FURTHER, FURTHER_TIMINGS = "further_images", "further_timings"
 OWN_FACTS = (
     "exposure_s",
@@ -31,11 +31,11 @@ OWN_FACTS = (
     "code_maps",
 )
 _UNSEALED = ("timings", FURTHER_TIMINGS, OWN)
-_NOT_COMPARED = {*_UNSEALED, SUMS}  # Digests of differing files would report them twice.
+_NOT_COMPARED = {*_UNSEALED, SUMS}  # The files themselves are compared, so their digests are not.
 
 
 def facts_of(manifest: Mapping[str, Any], sensor: str, image: int) -> dict[str, Any]:
-    """Return a manifest's facts, with those of one image in place of the first image's."""
+    """Return a manifest with the facts of one image instead of those of the first image."""
     for further in manifest.get(FURTHER, ()):
         if (further.get("sensor", ""), further["image"]) == (sensor, image):
             own = {key: further[key] for key in OWN_FACTS if key in further}

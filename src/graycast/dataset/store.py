@@ -118,7 +118,7 @@ class Store:
         ]
 
     def _annotations(self, scene_id: int) -> Iterator[tuple[int, list[Any], list[Any]]]:
-        """Yield each image's id in the split, its COCO annotations and its instances' figures."""
+        """Yield each image's id in the split, its COCO annotations and its `scene_gt_info`."""
         number = scene_id * sum(taker.images for taker in self.takers)
         for taker in self.takers:
             scene = SceneFolder(self.out / "train" / f"{scene_id:06d}", taker.name)

@@ -1,4 +1,4 @@
-"""Read a dataset of simulated or real pictures: the only reader of `train/`.
+"""Read a dataset of simulated or real pictures; no other module reads `train/`.
 
 Files are not trusted: if one is missing, damaged or contradicts another, a DatasetError names it.
 """
@@ -23,7 +23,7 @@ from .scene_folder import SceneFolder, own_form
 from .seal import facts_of
 
 _CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
-# An instance has a pose and figures; a visible one also has an annotation.
+# These are an instance's pose and figures and, if it is visible, its annotation.
 Instance = tuple[Any, Any, records.SceneAnnotation | None]
 
 
@@ -46,8 +46,8 @@ class StoredScene:
     holds: frozenset[str]
     sensor: str = ""
     image: int = 0
-    place: int = 0  # This is the index among the images of all scanners.
-    of: int = 1  # This is the number of the scene's images.
+    place: int = 0  # This is the image's index among the images of all scanners.
+    of: int = 1  # This is the number of images in the scene.
 
     @property
     def image_id(self) -> int:
@@ -294,7 +294,7 @@ class StoredDataset:
         return tuple(image for scene in self.scenes for image in self.images_of(scene))
 
     def image_ids(self, scene_ids: Iterable[int]) -> list[int]:
-        """Return the numbers of all images of some scenes; a single image has its scene's id."""
+        """Return the numbers of all images of some scenes; with one image each, the scenes' ids."""
         of = len(self.images)
         return [scene_id * of + place for scene_id in scene_ids for place in range(of)]
 
@@ -305,7 +305,7 @@ class StoredDataset:
         return self.scene(scene_id, sensor=sensor, image=image)
 
     def taker(self, sensor: str) -> Mapping[str, Any]:
-        """Return a scanner's rig and settings from the claim; nothing for real pictures."""
+        """Return a scanner's rig and settings from the claim; empty for real pictures."""
         for taker in self.claim.get("scanners", ()):
             if taker["name"] == sensor:
                 return taker

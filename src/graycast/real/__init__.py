@@ -8,10 +8,10 @@ Each module imports only from modules above it:
     depth_solid    a depth map as a solid for a scene: surface, edges, sides
     fitted_config  a configuration in which some keys are replaced by fitted values
     picture_pairs  colour, brightness and depth of one picture, paired by file names
-    realism        statistics of real depth that perfect depth lacks
-    fit_bin        pose, colours and light of a real bin
-    import_real    real pictures with labels, as a dataset
+    realism        statistics of noise and gaps in real depth, which perfect depth lacks
+    fit_bin        pose, colours and light of a real bin, fitted to scans of it
+    import_real    real pictures with labels, imported as a dataset
     material       base colour, roughness and kind of a surface from one scan
-    rescan         scanner depth for third-party datasets with perfect depth
-    twin           a scanner whose simulated scans have the statistics of real ones
+    rescan         simulated scanner depth for third-party datasets that have perfect depth
+    twin           a simulated scanner whose scans have the statistics of real scans
 """

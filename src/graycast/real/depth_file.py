@@ -1,6 +1,6 @@
-"""Depth maps, pictures and camera matrices of any scanner, from files: NPY, PNG, TIFF, PLY.
+"""Readers of depth maps, pictures and camera matrices in NPY, PNG, TIFF and PLY files.
 
-A PLY is an organised point cloud: a vertex per pixel, row by row, in the camera frame.
+A PLY file must be an organised point cloud: one vertex per pixel, row by row, in the camera frame.
 """
 
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ NO_CAMERA = "the file does not state its camera: give the intrinsics (--intrinsi
 DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
 _FARTHEST_M = 100.0
 _SIZE = {"num_cols": "width", "width": "width", "num_rows": "height", "height": "height"}
-_FIT_PX = 0.5  # largest RMS of a cloud about its own pinhole camera
+_FIT_PX = 0.5  # largest allowed RMS reprojection error when K is fitted to a cloud
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileOptions:
-    """Facts that a user states because files leave them open.
+    """Facts about depth files that the files themselves do not contain.
 
     Attributes:
-        K: intrinsics [px]; None takes those of an organised cloud from its points.
+        K: intrinsics [px]; None estimates them from the points of an organised cloud.
         distortion: k1, k2, p1, p2, k3 of OpenCV.
         scale_m: metres per unit of depth; required for integers; None reads floats as metres.
         size_px: width and height of a cloud whose file does not state them.
-        ray_length: whether depth is the distance from the camera along each pixel's ray; it is
-            converted to z.
-        max_depth_m: largest depth; anything beyond counts as missing; None has no limit.
+        ray_length: whether depth is the distance from the camera along each pixel's ray, which
+            the readers convert to z.
+        max_depth_m: largest depth; larger values count as missing; None sets no limit.
     """
 
     K: Float[np.ndarray, "3 3"] | None = None
@@ -52,10 +52,10 @@ NO_OPTIONS = FileOptions()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthFile:
-    """Depth [m], NaN where there is none, its camera, and the colours if a cloud has some.
+    """Depth [m] (NaN where missing), camera matrix, and the colours of a cloud that has them.
 
-    `gray` is the mean of the colours as a share of their range. `largest_px` counts the pixels with
-    the largest number of the file's type, which is no distance, and `beyond_px` the pixels with
+    `gray` is the mean of the three colours, from 0 to 1. `largest_px` counts the pixels with the
+    largest number of the file's type, which marks missing depth; `beyond_px` counts the pixels with
     depth beyond `FileOptions.max_depth_m`.
     """
 
@@ -68,8 +68,10 @@ class DepthFile:
 
 
 def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
-    """Read K from 'fx,fy,cx,cy' [px] or from a file: NPY or text with 3 x 3 numbers, or JSON with
-    BOP's `cam_K` or `fx`, `fy`, `cx`, `cy`, or with the 3 x 3 numbers as a list.
+    """Read K [px] from the text 'fx,fy,cx,cy' or from the file that the text names.
+
+    NPY and text files contain 3 x 3 numbers. JSON files contain them as a list or under `K`, or
+    have BOP's `cam_K` or the keys `fx`, `fy`, `cx`, `cy`.
 
     Raises:
         DatasetError: the text is none of these.
@@ -98,7 +100,7 @@ def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
 
 
 def read_depth(path: Path, options: FileOptions) -> DepthFile:
-    """Return a depth map from its file.
+    """Read a depth map; see `FileOptions` for what the file does not say.
 
     Raises:
         DatasetError: the file is missing, damaged or of another form, or an option is missing.
@@ -108,7 +110,7 @@ def read_depth(path: Path, options: FileOptions) -> DepthFile:
     value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
     if options.K is None:
         raise DatasetError(f"{path}: {NO_CAMERA}")
-    if value.ndim == 3 and value.shape[2] == 1:  # one channel, as in an array of several pictures
+    if value.ndim == 3 and value.shape[2] == 1:  # Some programs write (h, w, 1) for one channel.
         value = value[..., 0]
     if value.ndim != 2:
         raise DatasetError(
@@ -137,10 +139,7 @@ def read_depth(path: Path, options: FileOptions) -> DepthFile:
 
 
 def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
-    """Return an organised PLY, ASCII or binary; missing points are NaN or at the origin.
-
-    Its vertices are its first element; what follows is not read.
-    """
+    """Read an organised PLY, ASCII or binary, in which missing points are NaN or at the origin."""
     if options.ray_length:
         raise DatasetError(
             f"{path}: is a cloud of points, which states z: leave out --ray-length, or give depth "
@@ -169,17 +168,17 @@ def _read_cloud(path: Path, options: FileOptions) -> DepthFile:
 def _without_far(
     depth_m: Float[np.ndarray, "h w"], options: FileOptions
 ) -> tuple[Float[np.ndarray, "h w"], int]:
-    """Return depth up to the largest allowed one, and the number of pixels beyond that."""
+    """Return depth with NaN beyond `max_depth_m`, and the number of pixels beyond it."""
     beyond = depth_m > (np.inf if options.max_depth_m is None else options.max_depth_m)
     return np.where(beyond, np.nan, depth_m), int(beyond.sum())
 
 
 def _camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return K of the pinhole camera that sees each point in its own pixel, by least squares.
+    """Fit by least squares the K that projects each point to its own pixel.
 
     Raises:
-        ValueError: too few points, or no pinhole camera fits them well enough: the lens has
-            distortion, or the points are in another frame.
+        ValueError: there are too few points, or no pinhole camera fits them well enough, because
+            the lens has distortion or the points are in another frame.
     """
     y, x = np.nonzero(~np.isnan(point[..., 2]))
     if len(x) < 100:
@@ -201,7 +200,7 @@ def _camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:
 def _size(
     path: Path, header: list[str], count: int, size_px: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """Return width and height: the given ones, else those in the header."""
+    """Return width and height [px]: `size_px` if given, else the size in the header."""
     size_of = {}
     for line in header:
         words = line.split()
@@ -244,7 +243,7 @@ def in_metres(value: np.ndarray, scale_m: float, name: str) -> Float[np.ndarray,
 
 
 def read_gray(path: Path) -> Float[np.ndarray, "h w"]:
-    """Return a picture as shares of its type's range; floats in NPY are such shares already."""
+    """Read a picture as gray values from 0 to 1; floats in NPY already have this range."""
     image = load_npy(path) if path.suffix == ".npy" else read_image(path)
     if image.ndim == 3:
         image = image[..., :3].mean(axis=-1, dtype=np.float64).astype(image.dtype)
@@ -254,7 +253,7 @@ def read_gray(path: Path) -> Float[np.ndarray, "h w"]:
 
 
 def depth_files(folder: Path) -> list[Path]:
-    """Return only `depth.npy` if there is one (of `graycast rig decode`), else all depth files."""
+    """Return `depth.npy` if there is one (from `graycast rig decode`), else all depth files."""
     if (folder / "depth.npy").is_file():
         return [folder / "depth.npy"]
     files = [file for file in visible_entries(folder) if file.suffix.lower() in DEPTH_FILES]
@@ -285,10 +284,10 @@ def load_npy(path: Path) -> np.ndarray:
 
 
 def load_json(path: Path, remedy: str) -> dict[str, Any]:
-    """Return the keys of a JSON file.
+    """Return the object in a JSON file as a dictionary.
 
     Raises:
-        DatasetError: there is no such file, or it has no keys; the text ends with the remedy.
+        DatasetError: the file is missing or damaged, or has no keys; the text names the remedy.
     """
     try:
         content = parse_json(path.read_bytes())
@@ -302,7 +301,7 @@ def load_json(path: Path, remedy: str) -> dict[str, Any]:
 
 
 def _json_K(content: dict[str, Any] | list[Any]) -> Float[np.ndarray, "rows columns"]:
-    """Read K from a list, from `fx` to `cy`, from `K`, or from `cam_K` of a (first) BOP entry."""
+    """Read K from a list, from `fx`, `fy`, `cx`, `cy`, from `K`, or from the first BOP `cam_K`."""
     if isinstance(content, list):
         return np.array(content, dtype=np.float64, ndmin=2)
     if "fx" in content:

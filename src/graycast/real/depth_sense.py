@@ -1,4 +1,4 @@
-"""Checks of depth: its unit, filled holes, and ray lengths in place of z."""
+"""Checks for depth in a wrong unit, filled holes, and ray lengths that were read as z."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,26 +10,26 @@ from ..base.errors import DatasetError
 from ..rig.optics import Optics, picture_rays
 
 BEYOND = 1.5  # A median depth above far * BEYOND or below near / BEYOND means a wrong unit.
-FILLED = 0.05  # A larger share of known pixels at the farthest depth may be a fill value.
+FILLED = 0.05  # If more of the known pixels have the farthest depth, it may be a fill value.
 _APART = 1.2  # A farthest depth this many times the second farthest is a fill value.
 _PIXELS, _PLANES = 3000, 300  # sampled pixels, and sampled triples of them, for the largest plane
 _LEAST_PX = 300
-_OFF = 3e-3  # largest distance of a pixel from its plane, as a share of its depth
-_PLANE_SHARE, _TIMES = 0.1, 2.0  # least share of a plane's pixels; factor over the other kind
-_FEWER = 5  # A fill has this many times the pixels of the depths just below it.
+_OFF = 3e-3  # largest distance of an inlier from the plane, as a share of its depth
+_PLANE_SHARE, _TIMES = 0.1, 2.0  # least share of pixels on the plane; least ratio of both shares
+_FEWER = 5  # A fill value is at least this many times as frequent as the depths just below it.
 
 AnyDepth = Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
 
 
 def refuse_beyond(depth_m: AnyDepth, *, near_m: float, far_m: float, name: str, whose: str) -> None:
-    """Refuse depth that is far outside a known range, for example because of another unit.
+    """Refuse depth that is far outside a known range, for example because of a wrong unit.
 
     Args:
-        depth_m: z [m]; NaN where there is none. A map without depth is not refused.
-        whose: a clause that says where the range comes from, such as "the detector learnt".
+        depth_m: z [m]; NaN where it is missing. A map without any depth is not refused.
+        whose: words before the range in the error, such as "the detector learnt".
 
     Raises:
-        DatasetError: the median is far outside of the range (see `BEYOND`).
+        DatasetError: the median depth is far outside the range (see `BEYOND`).
     """
     known = depth_m[np.isfinite(depth_m)]
     middle_m = float(np.median(known)) if known.size else near_m
@@ -42,12 +42,12 @@ def refuse_beyond(depth_m: AnyDepth, *, near_m: float, far_m: float, name: str, 
 
 
 def filled_holes(depth_m: AnyDepth, name: str) -> str | None:
-    """Return a sentence about holes filled with the farthest depth; None if there are none.
+    """Return a warning about holes that are filled with the farthest depth; None if there are none.
 
-    Pixels at exactly the farthest depth count as filled if they are a large share, or, even if few,
-    if no other depth is near: a sentinel such as 65.535 m in a picture of floating-point numbers.
+    Pixels at exactly the farthest depth count as filled if they are many. Few such pixels count as
+    filled if no other depth is near, as with a sentinel of 65.535 m.
 
-    Leaves out: a wall of one exact depth, which no scanner measures but a perfect picture may have.
+    Leaves out: a wall at one exact depth, as in a perfect depth map, is mistaken for filled holes.
     """
     known = depth_m[np.isfinite(depth_m)]
     if not known.size:
@@ -66,20 +66,20 @@ def filled_holes(depth_m: AnyDepth, name: str) -> str | None:
 
 
 def _percent(share: float) -> str:
-    """Return a share in words; small ones do not become 0 %."""
+    """Format a share as a percentage, with two decimals below 1 %."""
     return f"{share:.0%}" if share >= 0.01 else f"{share:.2%}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneShares:
-    """Shares of pixels on the largest plane of their picture, for both meanings of depth."""
+    """Shares of pixels on the largest plane of each map, if depth is z and if it is ray length."""
 
     as_z: float
     as_length: float
 
     @property
     def lengths(self) -> bool | None:
-        """Whether the depth is the length of rays; None if the shares do not decide that."""
+        """Whether the depth is ray length; None if the shares do not decide this."""
         if max(self.as_z, self.as_length) < _PLANE_SHARE:
             return None
         if self.as_length > _TIMES * self.as_z:
@@ -88,18 +88,18 @@ class PlaneShares:
 
 
 def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
-    """Return the shares of pixels on planes if depth is z and if depth is a ray length.
+    """Return the shares of pixels on planes if depth is z and if depth is ray length.
 
-    A floor or a table is the largest plane of most pictures. Read as the wrong kind of depth, the
-    plane becomes a bowl: at 30 degrees from the axis, a ray is 15 % longer than its z. On a plane,
-    the reciprocal of z is linear over the picture: `1 / z = a x + b y + c`.
+    In most pictures, the largest plane is a floor or a table. If depth is read as the wrong kind,
+    this plane becomes a bowl: at 30 degrees from the axis, a ray is 15 % longer than its z. On a
+    plane, the reciprocal of z is linear over the picture: `1 / z = a x + b y + c`.
 
-    Leaves out: pictures without a plane, and narrow views with much noise, decide nothing.
+    Leaves out: pictures without a plane, and narrow fields of view with much noise, decide nothing.
 
     Args:
-        depths_m: maps of z or ray lengths [m], of the optics' size; NaN where there is none.
+        depths_m: maps of z or ray length [m] from the camera `optics`; NaN where depth is missing.
     """
-    rng = np.random.default_rng(0)  # samples pixels; the result hardly depends on the seed
+    rng = np.random.default_rng(0)  # The result hardly depends on which pixels are sampled.
     ray = picture_rays(optics).reshape(-1, 3)
     length = np.linalg.norm(ray, axis=1)
     on_plane, known_px = np.zeros(2), 0
@@ -118,7 +118,7 @@ def plane_shares(depths_m: Sequence[AnyDepth], optics: Optics) -> PlaneShares:
 def _on_plane(
     ray: Float[np.ndarray, "n 3"], inverse: Float[np.ndarray, " n"], rng: np.random.Generator
 ) -> int:
-    """Return the number of pixels on the plane that fits most of them; `inverse` is 1 / z."""
+    """Return the largest number of pixels on one plane (RANSAC); `inverse` is 1 / z [1/m]."""
     three = rng.integers(0, len(ray), (_PLANES, 3))
     corners = ray[three]
     planes = np.flatnonzero(np.abs(np.linalg.det(corners)) > 1e-6)
@@ -130,7 +130,7 @@ def _on_plane(
 
 
 def depth_kind_note(shares: PlaneShares, *, ray_length: bool) -> str | None:
-    """Return a warning if depth seems to be ray length but is read as z, or the reverse."""
+    """Return a warning if ray length seems to be read as z, or z as ray length; else None."""
     if shares.lengths is None or shares.lengths is ray_length:
         return None
     z, length = f"{shares.as_z:.0%}", f"{shares.as_length:.0%}"

@@ -1,7 +1,7 @@
-"""Solid from a depth map, with the surface on top and sides that follow the camera's rays down.
+"""Conversion of a depth map to a solid with the measured surface on top.
 
-The camera does not see the sides, and no light passes below the surface. The solid has no bottom,
-because it is never seen from below.
+The sides run down along the camera's rays, so that the camera does not see them, and they block
+light below the surface. The solid has no bottom, because it is never seen from below.
 """
 
 import math
@@ -17,29 +17,29 @@ from ..world.parts import Mesh
 
 STEP_M = 5e-3  # Neighbouring pixels with a larger step in depth are not joined.
 _UNDER_M = 2e-3  # The solid's sides extend this far below the ground.
-_FLAT_M = 5e-5  # A square of pixels that is this flat becomes two triangles.
-_LARGEST_PX = 16  # Lens distortion would bend the sides of larger squares.
+_FLAT_M = 5e-5  # A square of pixels becomes two triangles if it deviates from a plane by less.
+_LARGEST_PX = 16  # In larger squares, straight sides would differ too much from distorted ones.
 _WIDTHS = 1.7  # radius of a window in standard deviations of its Gaussian weight
 _RIDGE = 1e-3  # Ridge weight in pixels: it reduces slopes that few pixels determine.
 _TERMS = 6
-# Shading normals are fitted to 13 x 13 pixels. Noise of 0.1 mm at pixels of 0.5 mm turns them by
-# 0.5 degrees (rms), and the facets of the solid by 3 to 4, which would widen a highlight.
+# Shading normals are fitted to 13 x 13 pixels. With pixels of 0.5 mm, depth noise of 0.1 mm tilts
+# them by 0.5 degrees RMS. It tilts the facets by 3 to 4 degrees, which would widen a highlight.
 _SHADING_PX = 6
 
 Planes = Float[np.ndarray, "h w 3"]  # inverse depth [1/m] and its change per pixel in x and y
-# A round has the window's radius [px], the number of terms (3: plane, 6: paraboloid) and the
-# distance [m] within which a pixel belongs to a surface.
+# Each round of fits has a window radius [px], a number of terms (3: plane, 6: paraboloid) and the
+# distance [m] from the surface at which the weight of a pixel falls to 1/e.
 Rounds = tuple[tuple[int, int, float], ...]
 
 
 def surfaces(
     depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], rounds: Rounds
 ) -> Planes:
-    """Return the surface at each pixel of the solid without the noise; NaN elsewhere.
+    """Return a denoised surface at each pixel of the solid; NaN elsewhere.
 
     The inverse depth of a plane is linear over the picture, so each pixel gets the plane or the
-    paraboloid of inverse depth that fits best to the pixels around it. Pixels farther from the
-    surface of the round before have lower weights, so that edges stay sharp.
+    paraboloid of inverse depth that best fits the pixels around it. The farther a pixel is from the
+    surface of the previous round, the lower is its weight, so that edges stay sharp.
     """
     value = np.where(solid, 1 / np.where(solid, depth_m, 1.0), np.nan)
     start = np.zeros((*solid.shape, 3))
@@ -48,22 +48,21 @@ def surfaces(
 
 
 def smooth_slopes(depth_m: Float[np.ndarray, "h w"], planes: Planes, near_m: float) -> Planes:
-    """Return surfaces after two more rounds, over 7 x 7 and 13 x 13 pixels.
+    """Smooth surfaces by two more rounds of fits, over 7 x 7 and 13 x 13 pixels, for shading.
 
-    Their slopes are meant for shading, because noise makes them less uneven. The fits are planes,
-    which noise tilts less at the rim of a surface than paraboloids. Pixels across a step over three
-    times as high as `near_m` do not count; a much lower step is smoothed.
+    The fits are planes, because noise at the rim of a surface tilts planes less than paraboloids.
+    Steps higher than three times `near_m` stay sharp; much lower steps are smoothed.
 
     Args:
         planes: the result of `surfaces` for this depth.
-        near_m: the distance within which a pixel belongs to a surface.
+        near_m: distance from the surface at which the weight of a pixel falls to 1/e.
     """
     value = np.where(np.isfinite(planes[..., 0]), 1 / depth_m, np.nan)
     return _refined(value, planes, ((3, 3, near_m), (_SHADING_PX, 3, near_m)))
 
 
 def _refined(value: Float[np.ndarray, "h w"], planes: Planes, rounds: Rounds) -> Planes:
-    """Return the planes after some rounds of fits to inverse depth."""
+    """Fit planes or paraboloids to inverse depth `value` in rounds; return the planes."""
     fitted = np.zeros((*value.shape, _TERMS))
     fitted[..., :3] = planes
     for radius, terms, near_m in rounds:
@@ -73,7 +72,7 @@ def _refined(value: Float[np.ndarray, "h w"], planes: Planes, rounds: Rounds) ->
 
 @kernel(parallel=True)
 def _fitted(value, before, radius, terms, near_m):
-    """Return the result of one round of `surfaces`: weighted least squares around each pixel."""
+    """Run one round of `surfaces`: fit by weighted least squares around each pixel."""
     height, width = value.shape
     fitted = before.copy()
     for i in numba.prange(height):
@@ -113,7 +112,7 @@ def _fitted(value, before, radius, terms, near_m):
 
 @kernel(inline="always")
 def _solve(A, b):
-    """Solve `A x = b` in place by Cholesky's factors; only A's lower half is read; b becomes x."""
+    """Solve `A x = b` in place by Cholesky factorisation; b becomes x, A's upper half is unused."""
     n = len(b)
     for k in range(n):
         for m in range(k + 1):
@@ -139,19 +138,19 @@ def solid_of(
     covered: Float[np.ndarray, "h w 4"] | None = None,
     shading: Planes | None = None,
 ) -> Mesh:
-    """Return the solid under the surfaces, in the camera frame; uv refer to the picture.
+    """Return the solid under the surfaces, in the camera frame; uv coordinates span the picture.
 
-    Each pixel is a rectangle whose corners lie at the pixel's corners. Neighbours share a corner if
-    their surfaces meet there. Where the surface is flat, pixels are joined to larger squares.
+    Each pixel becomes a rectangle with the pixel's corners. Neighbours share a corner if their
+    surfaces meet there. Where the surface is flat, pixels are joined to larger squares.
 
     Args:
-        ground_m: depth to which the sides run; NaN where it is unknown.
-        step_m: depth difference from which the surfaces of neighbours do not meet.
+        ground_m: z-depth [m] to which the sides extend; NaN where it is unknown.
+        step_m: neighbours whose depths at a corner differ by more do not share the corner.
         covered: for each pixel, the shares of its left, right, upper and lower neighbours that its
             surface covers as well; None if edges are between pixels.
-        shading: smoother surfaces whose slopes give the shading normals of the top. A corner has
-            the mean slope of the pixels that share it, which are never on two sides of a step.
-            None leaves the solid without normals, so that it is shaded flat.
+        shading: smoother surfaces, whose slopes give the shading normals of the top. A corner has
+            the mean slope of the pixels that share it, and these belong to one surface.
+            None gives a solid without normals, which is shaded flat.
     """
     height, width = planes.shape[:2]
     vertex, inverse_m = _corners(planes, step_m)
@@ -201,8 +200,8 @@ def solid_of(
 # --- the mesh ------------------------------------------------------------------------------------
 
 # Offsets from a corner's row and column to its four pixels. Corner (i, j) is above and left of
-# pixel (i, j), but slightly off the exact corner: otherwise the ray of a pixel's centre would run
-# along the edge between the pixel's two triangles and might miss both.
+# pixel (i, j). It is slightly off the exact corner of the pixel: otherwise, the ray through a
+# pixel's centre would hit the edge between the pixel's two triangles and might miss both.
 _ABOUT = ((-1, -1), (-1, 0), (0, -1), (0, 0))
 _CORNER_PX = np.array([-0.45, -0.48])  # x and y from the centre of pixel (i, j)
 
@@ -210,13 +209,13 @@ _CORNER_PX = np.array([-0.45, -0.48])  # x and y from the centre of pixel (i, j)
 def _corners(
     planes: Planes, step_m: float
 ) -> tuple[Int[np.ndarray, "h1 w1 4"], Float[np.ndarray, " v"]]:
-    """Return each corner's vertex for each of its four pixels (-1: none), and inverse depths."""
+    """Return the vertex of each of a corner's four pixels (-1: none), and inverse depths."""
     height, width = planes.shape[:2]
     value = np.full((height + 1, width + 1, 4), np.nan)
     for k, (down, right) in enumerate(_ABOUT):
         own = planes @ np.array([1.0, *(_CORNER_PX - [right, down])])
         value[-down : height - down, -right : width - right, k] = own
-    order = np.argsort(-value, axis=-1)  # the nearest one first, NaN last
+    order = np.argsort(-value, axis=-1)  # nearest first, NaN last
     ordered = np.take_along_axis(value, order, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         apart = np.diff(1 / ordered, axis=-1) > step_m  # False for NaN
@@ -232,7 +231,7 @@ def _corners(
 
 
 def _places(vertex: Int[np.ndarray, "h1 w1 4"], count: int) -> Float[np.ndarray, "v 2"]:
-    """Return the place of each vertex in the picture."""
+    """Return the position of each vertex in the picture [px]."""
     place = np.empty((count, 2))
     for k in range(len(_ABOUT)):
         i, j = np.nonzero(vertex[..., k] >= 0)
@@ -258,8 +257,8 @@ def _normals(
 ) -> Float[np.ndarray, "v 3"]:
     """Return unit normals, towards the camera, of surfaces with these slopes of inverse depth.
 
-    A point is `ray / inverse depth`; the normal is perpendicular to the point's derivatives along x
-    and y, which are here both multiplied by the square of the inverse depth.
+    A point is `ray / inverse depth`. The normal is perpendicular to the point's derivatives along
+    x and y; the code multiplies both by the squared inverse depth, which avoids a division.
     """
     ray = rays(camera, pixel)
     tangents = [
@@ -274,7 +273,7 @@ def _normals(
 def _outwards(
     vertex: Int[np.ndarray, "h1 w1 4"], covered: Float[np.ndarray, "h w 4"], count: int
 ) -> Float[np.ndarray, "v 2"]:
-    """Return the shift [px] of each vertex with which surfaces cover the wanted shares."""
+    """Return the shift [px] of each vertex so that surfaces cover the shares in `covered`."""
     most, least = np.zeros((count, 2)), np.zeros((count, 2))
     for k, (down, right) in enumerate(_ABOUT):
         i, j = np.nonzero(vertex[..., k] >= 0)
@@ -284,13 +283,13 @@ def _outwards(
         np.maximum.at(least[:, 0], number, 0.0 if right else covered[y, x, 0])
         np.maximum.at(most[:, 1], number, covered[y, x, 3] if down else 0.0)
         np.maximum.at(least[:, 1], number, 0.0 if down else covered[y, x, 2])
-    return np.where((most > 0) & (least > 0), 0.0, most - least)  # Objects of one pixel stay.
+    return np.where((most > 0) & (least > 0), 0.0, most - least)  # Opposite moves cancel.
 
 
 def _pixel_corners(
     vertex: Int[np.ndarray, "h1 w1 4"], solid: Bool[np.ndarray, "h w"]
 ) -> Int[np.ndarray, "h w 4"]:
-    """Return each pixel's vertices, counter-clockwise from the upper left; -1 without surface."""
+    """Return the vertices of each pixel, counter-clockwise from the upper left; -1 if not solid."""
     corners = [vertex[:-1, :-1, 3], vertex[1:, :-1, 1], vertex[1:, 1:, 0], vertex[:-1, 1:, 2]]
     return np.where(solid[..., None], np.stack(corners, axis=-1), -1)
 
@@ -305,7 +304,7 @@ def _rim(
     around = np.pad(corners, ((1, 1), (1, 1), (0, 0)), constant_values=-1)
     height, width = corners.shape[:2]
     rim, beside_rim = [], corners[..., 0] < 0
-    # The neighbour that shares a side has its two corners in the opposite order.
+    # A neighbour that shares a side has the two corners of the side in the opposite order.
     for side, (down, right) in enumerate(((0, -1), (1, 0), (0, 1), (-1, 0))):
         beside = around[1 + down : 1 + down + height, 1 + right : 1 + right + width]
         own = corners[..., [side, (side + 1) % 4]]
@@ -318,11 +317,11 @@ def _rim(
 def _blocks(
     corners: Int[np.ndarray, "h w 4"], planes: Planes, beside_rim: Bool[np.ndarray, "h w"]
 ) -> Int[np.ndarray, "n 4"]:
-    """Return the vertices of the surface's rectangles: pixels, and blocks where it is flat.
+    """Return the vertices of the surface's rectangles: single pixels, or blocks where it is flat.
 
-    Four squares become one if their mean planes are within `_FLAT_M` of the mean plane of all
-    four. Where a large square meets small ones, the small squares have vertices on its side, which
-    are off by as little and along the camera's rays, so that the camera sees no crack.
+    Four squares are joined if their mean planes are within `_FLAT_M` of the mean plane of all
+    four. Where small squares meet a large square, their vertices are off its side by at most
+    about `_FLAT_M`, and only along the camera's rays, so the camera sees no crack.
     """
     rectangles = [corners[beside_rim & (corners[..., 0] >= 0)]]
     whole, mean, size = ~beside_rim, planes, 1  # state of all squares of the current size
@@ -360,7 +359,7 @@ def _joined(
 
 
 def _at(ground_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:
-    """Return the ground's depth at places in the picture; unknown depth is the nearest known."""
+    """Interpolate the ground's depth at positions [px]; gaps take the nearest known depth."""
     unknown = ~np.isfinite(ground_m)
     if unknown.all():
         return np.zeros(len(pixel))

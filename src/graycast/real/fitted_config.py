@@ -1,4 +1,4 @@
-"""Replacement of some keys of a configuration by fitted values; all other text is unchanged."""
+"""Replacement of some keys of a configuration file with fitted values."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -26,11 +26,7 @@ def refuse_existing(out: Path, base: Path) -> None:
 
 
 def refuse_there(*paths: Path) -> None:
-    """Refuse to overwrite a file.
-
-    Raises:
-        GraycastError: one of the files exists.
-    """
+    """Raise a GraycastError if one of the files exists."""
     for path in paths:
         if path.exists():
             raise GraycastError(f"{path}: exists already: choose another name, or remove it")
@@ -43,19 +39,19 @@ def fitted_text(
     comments: Mapping[str, str],
     dropped: Collection[str] = (),
 ) -> str:
-    """Return a configuration's text with some top-level keys replaced or added.
+    """Return the text of a configuration with some top-level keys replaced, added or removed.
 
-    All other text of the user stays, including comments.
+    All other text stays as the user wrote it, including comments.
 
     Args:
-        base: the configuration's text.
-        path: path of the configuration's file, for errors.
+        base: the text of the configuration.
+        path: path of the configuration file, for errors.
         sections: new values by key.
-        comments: comments above the keys, by key.
+        comments: comments to write above the keys, by key.
         dropped: top-level keys to remove if they are present.
 
     Raises:
-        ConfigError: the result would not be a configuration.
+        ConfigError: the result would not be a valid configuration.
     """
     content = parse_yaml(base, path)
     if yaml.compose(base).flow_style:
@@ -73,7 +69,7 @@ def fitted_text(
 
 
 def _spans(text: str, lines: list[str]) -> dict[str, tuple[int, int]]:
-    """Return each top-level key's first line and the line after its value, comments excluded."""
+    """Return each top-level key's first line and the line after its value, without comments."""
     starts = [(key.value, key.start_mark.line) for key, _ in yaml.compose(text).value]
     ends = [line for _, line in starts[1:]] + [len(lines)]
     spans = {}
@@ -86,6 +82,6 @@ def _spans(text: str, lines: list[str]) -> dict[str, tuple[int, int]]:
 
 def _block(key: str, value: Mapping[str, Any] | str, comment: str) -> list[str]:
     head = [f"# {line}".rstrip() for line in comment.splitlines()]
-    flow = False if isinstance(value, str) else None  # None would put braces around a string
+    flow = False if isinstance(value, str) else None  # With None, YAML puts braces around a string.
     dumped = yaml.safe_dump({key: value}, sort_keys=False, default_flow_style=flow, width=96)
     return head + dumped.rstrip("\n").splitlines()

@@ -1,4 +1,4 @@
-"""Real pictures and depth, paired by their file names, read and checked."""
+"""Readers of real pictures and depth maps that are paired by their file names."""
 
 import warnings
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ _NEAREST_M = 0.01  # No scanner measures a smaller distance.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RealPicture:
-    """The files of one picture; None for a file that does not exist."""
+    """Files of one view that share a name; None for a file that does not exist."""
 
     stem: str
     rgb: Path | None
@@ -46,9 +46,9 @@ class RealPicture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotData:
-    """One picture as arrays; `rgb` may contain the colours of an organised cloud.
+    """Pictures and depth of one view; `rgb` may come from the colours of an organised cloud.
 
-    `DepthFile` describes `largest_px` and `beyond_px`.
+    `DepthFile` explains `largest_px` and `beyond_px`.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"] | None
@@ -71,10 +71,11 @@ class ShotData:
 
 
 def find_shots(folder: Path) -> list[RealPicture]:
-    """Return a folder's pictures, paired by the file names in its `rgb`, `gray` and `depth`.
+    """Pair the files in a folder's subfolders `rgb`, `gray` and `depth` by name.
 
     Raises:
-        DatasetError: there are no pictures, or a picture is in one folder and not in another.
+        DatasetError: there are no pictures, two files in one subfolder share a name, or a name is
+            missing in one of the subfolders that have pictures.
     """
     files_of: dict[str, dict[str, Path]] = {}
     for name, endings in FOLDERS.items():
@@ -108,10 +109,10 @@ def find_shots(folder: Path) -> list[RealPicture]:
 
 
 def read_shot(shot: RealPicture, options: FileOptions) -> ShotData:
-    """Read one picture.
+    """Read and check all files of one view.
 
     Raises:
-        DatasetError: a file is damaged or has another size or form, or an option is missing.
+        DatasetError: a file is damaged or has a wrong size or form, or an option is missing.
     """
     for path in shot.files.values():
         refuse_damaged(path)
@@ -138,14 +139,14 @@ def read_shot(shot: RealPicture, options: FileOptions) -> ShotData:
 
 
 def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
-    """Return the step of the stored depth in millimetres.
+    """Return the depth step [mm] with which 16-bit pictures store depth.
 
-    Whole numbers keep their own scale, so that nothing is rounded; floats get the finest step with
-    which 16 bits reach the largest depth, like simulated depth.
+    Depth from integers keeps its own scale, so that nothing is rounded. Depth from floats gets the
+    finest step with which 16 bits reach the largest depth, like simulated depth.
 
     Args:
         deepest_m: the largest depth to store.
-        scale_m: the scale of files with whole numbers; None if some hold floats.
+        scale_m: metres per unit if all files have integers; None if some have floats.
 
     Raises:
         DatasetError: 16 bits cannot store the largest depth.
@@ -153,7 +154,7 @@ def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
     if scale_m is not None and deepest_m / scale_m <= DEPTH_MAX + 0.5:
         return float(f"{scale_m * 1e3:.12g}")
     try:
-        return depth_scale_mm(deepest_m or _NEAREST_M)  # without depth, any step will do
+        return depth_scale_mm(deepest_m or _NEAREST_M)  # If there is no depth, any step will do.
     except ValueError as error:
         raise DatasetError(
             f"the deepest point lies at {deepest_m:.4g} m, and 16-bit depth ends at 65.534 m: "
@@ -162,7 +163,7 @@ def depth_step_mm(deepest_m: float, scale_m: float | None) -> float:
 
 
 def is_whole(path: Path) -> bool:
-    """Return whether a file has whole numbers, which need a scale."""
+    """Return whether a depth file has integers, which need a scale."""
     if path.suffix.lower() == ".ply":
         return False
     value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
@@ -170,7 +171,7 @@ def is_whole(path: Path) -> bool:
 
 
 def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a colour picture in 8-bit sRGB, without its transparency.
+    """Read a colour picture in 8-bit sRGB, without its alpha channel.
 
     Raises:
         DatasetError: the file is missing or damaged, or does not have colour channels of 8 bits.
@@ -225,10 +226,10 @@ def refuse_damaged(path: Path) -> None:
             read_png(path)
             return
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow raises every relevant fault.
+            warnings.simplefilter("ignore")  # Pillow raises an exception for relevant faults.
             with Image.open(path) as image:
                 image.load()
     except UnidentifiedImageError:
-        return  # OpenCV checks TIFFs that Pillow does not know.
+        return  # Pillow does not know some TIFFs; OpenCV reports faults in them.
     except (Unreadable, OSError, ValueError, SyntaxError) as error:
         raise DatasetError(f"{path}: is cut off or damaged ({error}): copy it again") from error

@@ -3,7 +3,7 @@
 The modules in `bsdf` and `mitsuba` load Mitsuba, so they are imported only after `open_device` has
 set Mitsuba's variant.
 
-Each module imports only from those above it:
+Each module imports only from the modules above it:
 
     radiance       a renderer's results, and the protocol `Renderer`
     wavelength     the scene in light with the projector's wavelength

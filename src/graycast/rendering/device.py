@@ -1,9 +1,9 @@
-"""Search for a render device, and safe opening that cannot abort the process.
+"""Find the render devices that work, and open a device without the risk of a crash.
 
 Dr.Jit compiles its kernels with a shared LLVM on a processor, and with NVIDIA's driver on a GPU. It
 reads `DRJIT_LIBLLVM_PATH` once, when it is imported, and accepts LLVM 15 and 16. But on some
-processors these abort the whole process during code generation (Dr.Jit 1.5 refuses 14). So this
-module chooses the library by its file name and sets the variable before it imports Dr.Jit.
+processors these versions abort the whole process during code generation (Dr.Jit 1.5 refuses 14). So
+this module chooses the library by its file name and sets the variable before it imports Dr.Jit.
 """
 
 import json
@@ -93,7 +93,7 @@ def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
 
 
 def examine_cuda() -> CudaState:
-    """Ask NVIDIA's driver for its devices, in a child: after such a call a process cannot fork."""
+    """Ask NVIDIA's driver for its devices in a child process; a process cannot fork afterwards."""
     try:
         child = _run_child(_ASK_CUDA)
     except (OSError, subprocess.SubprocessError) as error:
@@ -147,7 +147,7 @@ def _why_not_cuda() -> str | None:
 
 
 def open_device(device: str, *, threads: int | None = None) -> None:
-    """Make Mitsuba run on a device in this process; opening the same one again is harmless.
+    """Make Mitsuba run on a device in this process; opening the same device again is harmless.
 
     It sets `DRJIT_LIBLLVM_PATH` in the environment of this process, imports Mitsuba, and sets the
     variant `llvm_ad_rgb` or `cuda_ad_rgb`.
@@ -237,7 +237,7 @@ def _major_from_name(path: Path) -> int | None:
 
 
 def _major_from_child(name: str) -> int | None:
-    """Return the version that a library reports in a child process; None before version 16."""
+    """Return the version that a library reports in a child process; None for versions before 16."""
     try:
         child = _run_child(_ASK_LLVM, name)
     except (OSError, subprocess.SubprocessError):

@@ -27,7 +27,7 @@ from ..rig.pattern import AXES, Axis
 from .radiance import PathNoise
 
 WINDOW_PX = 9  # Squared errors are averaged over a square with this side (81 values).
-MOST_BEND = 1.0  # Three pixels have no edge if their positions bend by fewer sigmas of a path.
+MOST_BEND = 1.0  # Three neighbours have no edge if positions bend by fewer sigmas of a path.
 
 
 def path_noise(

@@ -177,8 +177,8 @@ class Renderer(Protocol):
     """A renderer of light transport and geometry only: no noise, no exposure, no files.
 
     An open renderer may own a process, so `close` it, or use it in a `with` statement. Back ends
-    derive from this class, whose `close` serves those without resources. `denoiser` denoises a
-    colour picture on the renderer's device.
+    derive from this class, whose `close` suffices for back ends that own no resources. `denoiser`
+    denoises a colour picture on the renderer's device.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The scene in light with the projector's wavelength, as the measuring camera sees the scene."""
+"""Convert a scene to light of the projector's wavelength, as the measuring camera sees it."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-# These were product names of a maker. They are accepted until version 1.0.
+# The former names are product names of a maker. They are accepted until version 1.0.
 FORMER_NAMES = {f"phoxi-{size}": f"like-phoxi-{size}" for size in "sml"}
 _WORD = re.compile(rf"(?<![\w-])({'|'.join(FORMER_NAMES)})(?![\w-])")
 

@@ -10,7 +10,7 @@ RESIDUAL = 1e-14  # Newton's method stops at this error in normalised image coor
 
 @kernel(parallel=True, error_model="numpy")
 def undistort_in_place(xy, k1, k2, p1, p2, k3):
-    """Undistort points in normalised image coordinates; return whether this succeeded for all.
+    """Undistort points in normalised image coordinates; return whether all points succeeded.
 
     `xy` has a row for each point; the first two numbers of a row are changed.
     """

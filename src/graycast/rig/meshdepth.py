@@ -1,4 +1,4 @@
-"""Depth of a mesh at pixel centres, to check the renderers, with which it shares no code."""
+"""Compute the depth of a mesh at pixel centres, to check renderers; it shares no code with them."""
 
 from dataclasses import dataclass
 

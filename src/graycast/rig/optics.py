@@ -48,10 +48,10 @@ class Optics:
     `x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2)`, `y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y`.
 
     The entrance pupil is at z = 0. The blur `psf_px` models aberrations and diffraction.
-    `natural_vignetting` multiplies a camera's image by the fourth power of the cosine of the field
-    angle, and a projector's intensity by the first (see `relative_illumination`). `falloff` is any
-    other darkening (see `corner_share`). The active area of a pixel (`fill_factor`) is a centred
-    square. Distortion that is not monotonic over the image is refused.
+    `natural_vignetting` multiplies a camera's image by `cos^4` of the field angle, and a
+    projector's intensity by the cosine (see `relative_illumination`). `falloff` is any other
+    darkening towards the corners (see `corner_share`). The active area of a pixel (`fill_factor`)
+    is a centred square. Distortion that is not monotonic over the image is refused.
 
     Leaves out: skew; the effect of mechanical vignetting on blur. `blur_radius_px` lists more.
     """
@@ -122,7 +122,7 @@ class Optics:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether all points are sharp, at any distance."""
+        """Whether points at every distance are sharp."""
         return self.aperture_m == 0 and self.psf_px == 0
 
     @property
@@ -224,10 +224,10 @@ def in_picture(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Bool[np.ndar
 
 
 def project(optics: Optics, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """Return pixel coordinates (x, y) of points in the camera frame; NaN beyond the lens model.
+    """Return pixel coordinates (x, y) of points in the camera frame; NaN outside the lens model.
 
-    The model holds for points before the lens, up to the field angle at which radial distortion
-    folds over: beyond it the polynomial would map points far outside the field into the image.
+    The model holds in front of the lens, up to the field angle at which radial distortion folds
+    over: beyond it the polynomial would map points far outside the field into the image.
     """
     z = np.where(point[..., 2:] > 0, point[..., 2:], np.nan)
     ideal = point[..., :2] / z
@@ -241,7 +241,7 @@ def project(optics: Optics, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
 def pixels_of(
     optics: Optics, point: Float[np.ndarray, "*n 3"]
 ) -> tuple[Int[np.ndarray, "*n 2"], Bool[np.ndarray, "*n"]]:
-    """Return the pixel (row, column) that sees each point, and whether any pixel does.
+    """Return the pixel (row, column) in which each point appears, and whether there is one.
 
     Points are in the camera frame. Row and column are 0 for a point outside the picture.
     """

@@ -44,10 +44,10 @@ def _rising(response: tuple[float, ...]) -> tuple[float, ...]:
 class Rig:
     """One camera and one projector.
 
-    `T_cam_proj` maps projector coordinates to camera coordinates [m]. A white projector pixel
-    has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field, divided
-    among the red, green and blue band by `band_weights`. The measuring camera is monochrome and
-    has a filter that passes only the bands in which the projector emits light.
+    `T_cam_proj` maps projector coordinates to camera coordinates [m]. A white projector pixel has
+    the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field, divided among the
+    red, green and blue bands by `band_weights`. The measuring camera is monochrome and has a filter
+    that passes only the bands in which the projector emits light.
 
     `response` is sampled at equal steps of grey level from 0 to 255 and linear between them. Every
     picture contains the projector's black level, which is white divided by `contrast_ratio`.
@@ -210,8 +210,8 @@ RESOLUTIONS = tuple(BINNING)
 def preset_rig(name: str, resolution: str = "low") -> Rig:
     """Return a preset rig, with sharp lenses.
 
-    `paper` has the camera and baseline of a PhoXi M and a white Gray-code projector. The paper
-    names the PhoXi M and L, but states neither intrinsics nor resolution.
+    `paper` models the scanner of a publication, which names the PhoXi M and L but states neither
+    intrinsics nor resolution. It has the camera and baseline of a PhoXi M, and a white projector.
 
     Args:
         name: one of `PRESETS`, or the name of a preset in an earlier version.
@@ -242,10 +242,10 @@ def preset_rig(name: str, resolution: str = "low") -> Rig:
 
 
 def depth_per_line_m(rig: Rig, z_m: float, axis: Axis) -> float:
-    """Return the change of depth per projector column (or row) on the camera's axis at `z_m`.
+    """Return the change of depth [m] per projector column (or row) on the camera's axis at `z_m`.
 
-    It is NaN if the projector does not light that point, and inf if columns (or rows) do not move
-    with depth. It is a numerical derivative, so it holds for any pose and distortion.
+    It is NaN if the projector does not light that point, and inf if the column (or row) does not
+    change with depth. A numerical derivative is used, so any pose and distortion is allowed.
     """
     across = AXES.index(axis)
     step_m = 1e-4 * z_m
@@ -314,7 +314,7 @@ def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
 
 
 def aimed(rig: Rig, *, baseline_m: float, distance_m: float) -> Rig:
-    """Return the rig with another baseline, and with both devices turned to one target.
+    """Return the rig with another baseline and with both devices aimed at one target.
 
     The target is on the former bisector of their middle rays, `distance_m` from the middle of the
     baseline. The working range does not change, because it depends on lenses and focus.
@@ -344,9 +344,9 @@ def _least_turn(
 
 
 def _middle_ray(optics: Optics) -> Float[np.ndarray, "3"]:
-    """Return the unit direction of the middle of a device's picture; a device is aimed by this ray.
+    """Return the unit direction of the ray through the middle of a device's picture.
 
-    With lens shift, a projector's optical axis is at the edge of its picture or outside it.
+    Devices are aimed by this ray: with lens shift, a projector's optical axis may miss its picture.
     """
     middle = np.array([[(optics.width_px - 1) / 2, (optics.height_px - 1) / 2]])
     ray = rays(optics, middle)[0]
@@ -368,7 +368,7 @@ def best_depth_m(rig: Rig) -> float:
 def standoff_m(rig: Rig) -> float:
     """Return the distance from the middle of the baseline to the best working point.
 
-    This point is on the camera's middle ray at `best_depth_m`, where both rays cross if in range.
+    This point is on the camera's middle ray, at the depth `best_depth_m`.
     """
     ray = _middle_ray(rig.camera)
     point = best_depth_m(rig) / ray[2] * ray

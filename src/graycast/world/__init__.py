@@ -1,6 +1,6 @@
 """The simulated world: parts, a bin, the scene, and how the parts fall.
 
-Each imports only from those above it:
+Each module imports only from the modules above it:
 
     parts            meshes with materials, built in or from the user's files
     bins             a bin from a mesh file

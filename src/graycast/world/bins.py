@@ -1,4 +1,4 @@
-"""A bin from a mesh file: it is turned upright, placed at the world's origin, and measured."""
+"""Read a bin from a mesh file, turn it upright, place it at the world's origin, and measure it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,10 +50,10 @@ class MeshBin:
 def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
     """Return a bin from an OBJ, PLY, STL or GLB file.
 
-    The floor is the height at which most of the surface faces up in the vertical cuts through the
-    middle. Length and width are the distances between opposite walls in a horizontal cut at half
-    the height, so a slanted wall is measured at half its height. Only the upward axis of the file's
-    coordinate frame matters.
+    The floor is the median height of the upward faces in vertical cuts through the middle. Length
+    and width are the distances between opposite walls in a horizontal cut at half the height, so a
+    slanted wall is measured at half its height. Only the upward axis of the file's coordinate frame
+    matters.
 
     Args:
         unit: see `load_mesh`.
@@ -84,7 +84,7 @@ def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
 
 
 def inside_of(mesh: Mesh) -> tuple[Float[np.ndarray, "3"], tuple[float, float, float]]:
-    """Return the origin that `load_bin` gives an upright bin, and the bin's inner size [m].
+    """Return the middle of an upright bin's inner floor [m], and the bin's inner size [m].
 
     Raises:
         MeshError: the mesh has no floor with walls around it.
@@ -99,7 +99,7 @@ def inside_of(mesh: Mesh) -> tuple[Float[np.ndarray, "3"], tuple[float, float, f
 
 
 class _NoBin(MeshError):
-    """An error that names the property of a bin that the mesh lacks."""
+    """An error for a mesh that is no bin; its text names the property that the mesh lacks."""
 
 
 def _moved(mesh: Mesh, R: Float[np.ndarray, "3 3"], shift_m: Float[np.ndarray, "3"]) -> Mesh:

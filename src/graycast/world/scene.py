@@ -1,7 +1,7 @@
 """The world before physics and light: parts, bin, surfaces, lights and rig.
 
 World frame: origin in the middle of the bin's inner floor, z up. The bin is on a table that looks
-endless; its top is at `z = -bin.floor_m`.
+endless; the table's top is at `z = -bin.floor_m`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -117,7 +117,8 @@ class Sphere:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Environment:
-    """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map times it.
+    """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map multiplied by
+    it.
 
     A map (EXR, HDR) is latitude-longitude with its top row at the world's zenith and its left
     border towards the world's +y; `rotation_rad` turns it about the world's z by the right-hand
@@ -163,9 +164,9 @@ class Lamp:
 class Scene:
     """Everything that light meets, except the poses of the dropped parts.
 
-    `parts` are the kinds, unlabelled ones last; a `Layout` has the poses of their instances.
-    `surfaces` are analytic shapes for measurement. Without a bin, there is no table. The table's
-    texture is repeated every `table_texture_m`; None spreads it over the whole table.
+    `parts` are the kinds of parts, unlabelled kinds last; a `Layout` has the poses of their
+    instances. `surfaces` are analytic shapes for measurement. Without a bin, there is no table. The
+    table's texture is repeated every `table_texture_m`; None spreads it over the whole table.
     """
 
     rig: Rig
@@ -196,10 +197,10 @@ class Scene:
 class Layout:
     """The result of a drop: the parts' poses, and the figures by which a layout is accepted.
 
-    `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The figures
-    are not judged here. `last_motion_m` is how far any point of a part moved within the last 0.6 s,
-    or 0.2 s if these showed rest. Penetration is measured between collision hulls, which may be
-    inside a curved surface by half a millimetre.
+    `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. `Layout` does
+    not check the figures. `last_motion_m` is how far any point of a part moved within the last 0.6
+    s, or 0.2 s if these showed rest. Penetration is measured between collision hulls, which may be
+    half a millimetre inside a curved surface.
     """
 
     T_world_part: arrays.FloatArray_n_4_4
@@ -255,7 +256,7 @@ def quad_mesh(quad: Quad) -> Mesh:
 
 
 def lamp_quad(lamp: Lamp) -> Quad:
-    """Return a lamp's black square, with its front towards the target, without its emission."""
+    """Return a lamp as a black quad whose front faces the target, without its emission."""
     center, target = np.array(lamp.center_m), np.array(lamp.target_m)
     direction = (target - center) / np.linalg.norm(target - center)
     aside = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
@@ -307,10 +308,7 @@ def _box_mesh(box: Bin) -> Mesh:
 
 
 def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, " f"]:
-    """Return a mask of the faces of the bin's mesh that are its inner floor.
-
-    They face up and are at the floor's height.
-    """
+    """Return a mask of the faces of the bin's inner floor, which face up at the floor's height."""
     corner = mesh.vertices_m[mesh.faces]
     looks_up = mesh.face_normal[:, 2] > _UPRIGHT
     low = np.abs(corner[..., 2]).max(axis=1) < max(1e-3, _LOW * box.inner_m[2])

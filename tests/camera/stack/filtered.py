@@ -16,7 +16,7 @@ _REACH_PX = 2  # reach of the presets' smoothing
 
 
 def check_depth_of_no_filters(path: Path, rig: Rig, plain: DepthMap, filters: FilterSpec) -> None:
-    """Filters may remove, repair and smooth; all other pixels keep their depth to the last bit.
+    """Check that filters only remove, repair and smooth; all other pixels keep their exact depth.
 
     Args:
         plain: result of the stack without filters.

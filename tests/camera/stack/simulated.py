@@ -119,7 +119,7 @@ def describe(code: Code, suffix: str = ".png") -> dict:
 
 
 def save(folder: Path, content: dict, stack: np.ndarray, *, color: bool = False) -> Path:
-    """Write pictures and STACK.yaml; return the path of the latter."""
+    """Write pictures and STACK.yaml; return the path of STACK.yaml."""
     for entry, picture in zip(content["frames"], stack, strict=True):
         image = Image.fromarray(np.repeat(picture[..., None], 3, axis=-1) if color else picture)
         is_jpeg = entry["file"].endswith(".jpg")

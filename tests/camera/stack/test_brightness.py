@@ -91,6 +91,6 @@ def test_a_bright_step_moves_positions_by_at_most_the_amount_in_its_warning(name
 
 
 def test_steps_are_not_compared_in_a_stack_without_a_lit_pixel():
-    """A median of no pixels warned of an empty slice, on the terminal of whoever decoded it."""
+    """Symptom: the median of no pixels printed NumPy's warning about an empty slice."""
     code = CODES["gray, 12 steps"]
     assert faults(code, np.full((len(code.frames), 8, 8), 10, np.uint8)) == []

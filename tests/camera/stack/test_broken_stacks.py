@@ -1,4 +1,4 @@
-"""Wrong stacks: an error that names the file, or a warning with the measured symptom."""
+"""Wrong stacks cause an error that names the file, or a warning with the measured symptom."""
 
 import re
 import shutil
@@ -171,7 +171,7 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("edit", ERRORS, ids=lambda edit: edit.__name__)
-def test_a_broken_stack_is_refused_by_name(edit, make):
+def test_the_error_for_a_broken_stack_names_its_fault(edit, make):
     path = make(edit)
     with pytest.raises(GraycastError, match=ERRORS[edit]) as refusal:
         decode_stack(path)

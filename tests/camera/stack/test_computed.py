@@ -48,7 +48,7 @@ def test_pictures_with_little_noise_are_not_taken_for_computed_inverses():
 
 @pytest.mark.parametrize("name", CODES)
 def test_computed_inverses_are_not_used_to_estimate_the_noise(name):
-    """It was 0.29 DN, the noise of rounding. Oracle: the simulated noise, or the stated default."""
+    """Symptom: 0.29 DN, the noise of rounding. Oracle: the simulated noise, or the default."""
     code = CODES[name]
     code = replace(code, frames=tuple(f for f in code.frames if f.kind not in ("white", "black")))
     stack = computed(code, shoot_cluttered(code, Look(squares=0.3, read_dn=2.0)), 255)

@@ -180,8 +180,8 @@ def test_the_depth_of_wall_and_ball_is_correct_to_half_a_projector_pixel(vertica
 @pytest.mark.parametrize(
     ("name", "mentioned"), [("gray with inverses", True), ("gray and phase", False)]
 )
-def test_undoubted_pixels_are_mentioned_only_for_codes_without_phases(name, mentioned, tmp_path):
-    """With phases, few pixels have the smallest sigma, and their residual was meaningless."""
+def test_pixels_without_doubtful_bits_are_counted_only_without_phases(name, mentioned, tmp_path):
+    """With phases, few pixels have the smallest sigma, so their residual has no meaning."""
     rig, code = small_rig(), CODES[name]
     result = decode_stack(save(tmp_path, describe(code), shoot(rig, code)), rig)
     figures = result.figures
@@ -193,7 +193,7 @@ def test_undoubted_pixels_are_mentioned_only_for_codes_without_phases(name, ment
 @pytest.mark.slow
 @pytest.mark.parametrize("filters", [PRESET_FILTERS[0], *map(slow, PRESET_FILTERS[1:])])
 def test_preset_filters_add_no_noise_to_the_depth_of_a_stack(filters, tmp_path):
-    """The slopes of the ball showed that a preset's raster scattered the depth of real pictures."""
+    """The ball's slopes show if a preset's raster scatters the depth of real pictures."""
     rig, code = small_rig(), CODES["gray and phase"]
     path = save(tmp_path, describe(code), shoot(rig, code))
     plain = decode_stack(path, rig).depth
@@ -304,7 +304,8 @@ def test_results_of_an_earlier_run_are_removed_when_a_new_result_is_written(tmp_
     path = save(tmp_path, describe(code), shoot(rig, code))
     write_result(decode_stack(path, rig), tmp_path / "out")
     write_result(decode_stack(path), tmp_path / "out")
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["code.npz", "preview.png"]
+    left = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert left == ["code.npz", "light.npz", "preview.png"]
 
 
 def test_the_error_for_an_unwritable_folder_names_the_folder(tmp_path):

@@ -68,7 +68,7 @@ def test_pictures_in_reverse_order_cause_one_warning(name, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray and 8 steps", slow("gray and 3 steps"), slow("gray")])
 def test_gray_bits_in_reverse_order_with_a_phase_cause_one_warning(name, tmp_path):
-    """The only warning was of depth outside the working range."""
+    """Symptom: the only warning was about depth outside the working range."""
     stack = shoot_cluttered(CODES[name], LOOK)
     warnings = warnings_of(tmp_path, name, stack, opposite_bits, small_rig())
     assert len(warnings) == 2

@@ -138,9 +138,9 @@ def test_two_exchanged_pictures_of_a_real_stack_are_named(name, one, other, says
 
 @pytest.mark.slow
 def test_each_reversed_period_of_a_real_stack_is_named(stacks, tmp_path):
-    """Only one of four was named, because a phase changes little between neighbouring pixels.
+    """Symptom: only one of four was named, because a phase changes little between neighbours.
 
-    Gray values of 100 px are one and a half of one period and a whole one of the other.
+    A Gray value of 100 px is one and a half times one period, and as long as the other.
     """
     content, stack = stacks("kamino_phase")
     for frame in content["frames"]:

@@ -47,7 +47,7 @@ def misfits(folder, code, stack, rig):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["both", "columns", "rows"])
 def test_a_rig_with_inverted_R_and_T_causes_a_warning(name, shots, tmp_path):
-    """With one coded axis, only the edge of the projector's picture shows it."""
+    """With one coded axis, only the edge of the projector's picture reveals the inversion."""
     rig, code, stack = shots[name]
     assert misfits(tmp_path, code, stack, rig) == []
     (message,) = misfits(tmp_path, code, stack, inverted(rig))
@@ -56,7 +56,7 @@ def test_a_rig_with_inverted_R_and_T_causes_a_warning(name, shots, tmp_path):
 
 @pytest.mark.slow
 def test_a_note_says_that_one_axis_cannot_reveal_an_inverted_rig(tmp_path):
-    """All points of an inverted rig were wrong without a message if no edge was visible."""
+    """Symptom: without a visible edge, all points were wrong, and no message said so."""
     rig = small_rig()
     path = save(tmp_path, describe(COLUMNS), shoot(rig, COLUMNS))
     for own in (rig, inverted(rig)):
@@ -68,7 +68,7 @@ def test_a_note_says_that_one_axis_cannot_reveal_an_inverted_rig(tmp_path):
 
 @pytest.mark.slow
 def test_points_beyond_the_working_range_reveal_an_inverted_rig(tmp_path):
-    """The axes cross at 0.55 m; the inversion moves the wall from behind this point before it."""
+    """The axes cross at 0.55 m; the inversion moves the wall to the other side of this point."""
     T_cam_proj = rigid(axis_rotation("y", -0.35), np.array([0.2, 0.0, 0.0]))
     tight = replace(small_rig(), T_cam_proj=T_cam_proj, near_m=0.6, far_m=0.9)
     path = save(tmp_path, describe(COLUMNS), shoot(tight, COLUMNS))
@@ -129,7 +129,7 @@ def test_pictures_rotated_by_90_degrees_are_refused_with_a_remedy(
 
 @pytest.mark.slow
 def test_an_inverted_real_rig_is_detected_from_columns_alone(shared, tmp_path):
-    """The sea shell: none of its 1.4 million points looked wrong, and all were."""
+    """Symptom: all 1.4 million points of the sea shell were wrong, and none looked wrong."""
     scan = shared / "data" / "scans" / "sea_shell"
     if not scan.is_dir():
         pytest.skip("needs ../shared/data/scans/sea_shell, which is not here")

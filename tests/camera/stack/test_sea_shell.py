@@ -91,7 +91,7 @@ def test_the_modulation_of_each_gray_bit_agrees_with_known_values(result):
 
 
 def test_the_epipolar_residual_of_the_sea_shell_agrees_with_its_known_value(result):
-    """It is 0.34 px where no bit is in doubt; the calibration does not extend beyond the shell."""
+    """It is 0.34 px for pixels without a doubtful bit; the calibration ends at the shell."""
     assert result.figures.epipolar_sure_px == pytest.approx(0.34, abs=0.04)
 
 
@@ -147,7 +147,7 @@ def test_the_published_points_are_reproduced_to_hundredths_of_a_millimetre(resul
     assert (away_m < 0.5e-3).mean() >= 0.99
 
 
-def test_half_of_the_undoubted_points_are_within_0_02_mm_of_the_author_s(result, author_m):
+def test_half_of_the_certain_points_are_within_0_02_mm_of_the_author_s(result, author_m):
     """Only points near the author's are compared, since he left out the dim background."""
     sure_m = result.cloud.point_m[result.cloud.sure_pixels > 0]
     away_m, _ = cKDTree(author_m).query(sure_m)

@@ -81,7 +81,7 @@ def test_phases_in_the_right_direction_cause_no_warning(code, tmp_path):
 
 @pytest.mark.slow
 def test_the_proposed_phase_steps_decode_correctly_unlike_the_stated_steps(tmp_path):
-    """Oracle: the projection of the wall and the ball. A sine in reverse, in 3 steps."""
+    """Oracle: the projection of the wall and the ball, for a sine in reverse with 3 steps."""
     stack = shoot_cluttered(THREE, Look())
     truth = view_of(small_rig()).column
     miss_px = {}

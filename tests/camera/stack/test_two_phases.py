@@ -59,8 +59,8 @@ def decoded(tmp_path, content):
 @pytest.mark.slow
 @pytest.mark.parametrize("complementary", [slow(False), True])
 def test_two_phases_together_reproduce_the_published_positions(kamino, complementary, tmp_path):
-    """He gives positions modulo 256, columns in blue and rows in green, where red is 128. The
-    finest bit may also be declared a complementary bit of 200 px.
+    """The author gives positions modulo 256, columns in blue and rows in green, where red is 128.
+    The finest bit may also be declared a complementary bit of 200 px.
     """
     result = decoded(tmp_path, described(kamino, complementary=complementary))
     assert result.warnings == ()

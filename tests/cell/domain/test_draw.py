@@ -201,7 +201,7 @@ def is_visible(point_m, T_world_lens, lens):
 
 
 def test_no_point_of_a_drawn_lamp_is_visible_or_inside_the_bin():
-    """Oracle: all rotations of the lamp's square, a ball, projected by hand."""
+    """Oracle: the ball of all rotations of the lamp's square, projected by an explicit formula."""
     scene = cell()
     near = {"distance_m": [0.4, 1.5], "elevation_deg": [5, 90], "size_m": [0.1, 0.5]}
     own = domain(scene, {"kind": "randomized", "camera": None, "lamps": {**near, "count": [9, 9]}})

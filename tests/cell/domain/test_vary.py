@@ -61,7 +61,7 @@ def full(tmp_path):
 
 
 def test_the_record_of_a_random_scene_reproduces_the_scene(full):
-    """The record passes the bytes of a manifest: drawn values that it omits would be missing."""
+    """The record is written as JSON and read back, so a value that it omits would be missing."""
     scene, own = full
     places = set()
     for seed in range(8):

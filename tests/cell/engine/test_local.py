@@ -1,4 +1,4 @@
-"""Worker processes of this machine are killed, starved and stopped, and the result is equal."""
+"""Killing, stopping or starving worker processes of this machine does not change the result."""
 
 import logging
 import multiprocessing

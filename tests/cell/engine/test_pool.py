@@ -114,7 +114,7 @@ def test_an_unknown_engine_for_workers_is_refused(task):
 
 
 def handed(monkeypatch, script, ids=IDS, before=1):
-    """Return what `make_missing` hands over for a pool with these errors, and what it gives up."""
+    """Return the results and failures that `make_missing` reports, and the scenes it gives up."""
     pool, results, failed, meter = Scripted(script), [], [], Metered()
     monkeypatch.setattr(workers, "open_pool", lambda *_, **words: pool)
     whole = before + len(ids)

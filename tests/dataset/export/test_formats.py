@@ -122,7 +122,7 @@ def bop_toolkit_mask(runs):
 
 
 def read_by_webdataset(folder):
-    """All samples; the package leaves closing its files to the garbage collector."""
+    """Return all samples; the package leaves closing its files to the garbage collector."""
     webdataset = pytest.importorskip("webdataset", reason="pip install webdataset")
     urls = [str(path) for path in sorted(folder.glob("shard-*.tar"))]
     with warnings.catch_warnings():
@@ -312,8 +312,8 @@ def toolkit_mask(vertices_mm, faces, K, width_px, height_px):
     """Return the pixels that bop_toolkit's OpenGL renderers cover for a mesh in the camera frame.
 
     Their matrix has the rows (2 fx/w, 0, (w - 2 cx)/w, 0), (0, 2 fy/h, (2 cy - h)/h, 0) and
-    (0, 0, -1, 0) for x, y and the divisor, of points whose y and z are turned round; OpenGL takes
-    -1 to 1 as the window's ends and samples where pixels have their middles.
+    (0, 0, -1, 0) for x, y and the divisor, of points with negated y and z. OpenGL maps -1 to 1 to
+    the window's edges and samples at pixel centres.
     """
     x, y, z = (vertices_mm * [1, -1, -1]).T
     clip_x = 2 * K[0, 0] / width_px * x + (width_px - 2 * K[0, 2]) / width_px * z
@@ -331,7 +331,7 @@ def toolkit_mask(vertices_mm, faces, K, width_px, height_px):
 
 
 def test_bop_toolkit_renders_our_masks_if_the_origin_is_a_pixel_corner(exported, samples):
-    """Oracle: their projection, rasterised here; with BOP's own origin a rim is off."""
+    """Oracle: their projection, rasterised here; with BOP's origin, pixels at the rim differ."""
     sample, overlap = samples[0], {}
     for origin in ("centre", "corner"):
         out = exported("bop-webdataset", pixel_origin=origin)

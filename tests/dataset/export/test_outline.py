@@ -19,7 +19,7 @@ def area(corner):
 
 
 def crossings(polygon, shape):
-    """Return the even-odd rule at pixel centres, by its definition."""
+    """Return the pixels whose centres are inside by the even-odd rule, computed by definition."""
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
     inside = np.zeros(shape, dtype=bool)
     for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
@@ -66,7 +66,7 @@ def painted(shapes, shape):
 
 
 def blob(rng):
-    """Return a small visible part: a rotated box, sometimes with a hole."""
+    """Return the mask of a small visible part: a rotated box, sometimes with a hole."""
     mask = np.zeros((40, 44), dtype=np.uint8)
     size = rng.uniform(1, 14, 2)
     box = cv2.boxPoints((rng.uniform(16, 24, 2), size, rng.uniform(0, 90)))

@@ -1,4 +1,4 @@
-"""Splits: each scene is always in the same set, shares are met closely, and growth is harmless."""
+"""Splits: a scene is always in the same set, sizes fit the shares, new scenes move no others."""
 
 import pytest
 

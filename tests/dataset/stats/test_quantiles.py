@@ -22,7 +22,7 @@ def test_median_and_rms_of_a_single_value_equal_the_value():
 
 
 def test_rounding_does_not_change_the_median_and_deviation_of_errors():
-    """A normal law of 2 steps about 0.3; rounding adds a step's variance, 1/12 (Sheppard)."""
+    """Errors are normal: mean 0.3, sigma 2 steps; rounding adds a variance of 1/12 (Sheppard)."""
     value = np.random.default_rng(4).normal(0.3, 2.0, 200_000)
     step, count = np.unique(np.rint(value).astype(int), return_counts=True)
     error = error_figures(dict(zip(step.tolist(), count.tolist(), strict=True)), 1.0)

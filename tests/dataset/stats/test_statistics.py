@@ -79,7 +79,7 @@ def test_shares_of_reasons_agree_with_the_maps_of_reasons(dataset_and_samples, s
 
 
 def test_the_noise_of_the_scanner_is_estimated_correctly(statistics):
-    """0.2 mm Gaussian and twice the rounding to steps: sqrt(0.2^2 + 2 * 0.1^2 / 12) mm."""
+    """Oracle: Gaussian noise and rounding of both depths: sqrt(0.2^2 + 2 * 0.1^2 / 12) mm."""
     error = statistics.error
     sigma_mm = np.sqrt(0.2**2 + 2 * SCALE_MM**2 / 12)
     standard_error_mm = sigma_mm / np.sqrt(error.pixels)

@@ -1,4 +1,4 @@
-"""Foreign datasets: ours in the common formats, read as if their origin were unknown."""
+"""Exports of our datasets in common formats, read as if their origin were unknown."""
 
 import json
 import shutil
@@ -237,7 +237,7 @@ def test_a_missing_picture_or_mask_is_named(datasets, tmp_path):
     ],
 )
 def test_masks_that_validate_refuses_are_not_used_for_training(datasets, tmp_path, change, message):
-    """Nonzero values used to be inside, and an empty mask gave a box of no size."""
+    """Nonzero values used to count as inside, and an empty mask gave a box of no size."""
     shutil.copytree(datasets / "ours" / "train", tmp_path / "train")
     path = tmp_path / "train" / "000000" / "mask_visib" / "000000_000000.png"
     cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))

@@ -1,4 +1,4 @@
-"""Tests of networks run in one thread, which is fastest next to other processes."""
+"""Networks are tested in one thread, which is fastest while other processes run."""
 
 import sys
 
@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def one_thread_of_torch():
-    """Denormals are flushed in these tests alone: SciPy's k-d tree does not end without them."""
+    """Flush denormals in these tests only, because SciPy's k-d tree does not end without them."""
     torch = sys.modules.get("torch")  # Tests of encodings need no torch.
     if torch is None:
         yield

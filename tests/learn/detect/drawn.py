@@ -1,4 +1,4 @@
-"""Datasets of drawn pictures: bright discs and boxes that lie at known heights on a dark floor."""
+"""Datasets of drawn pictures: bright discs and boxes at known heights on a dark floor."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ NAMES = ("disc", "box")
 
 
 def write_shapes(folder: Path, count: int, *, seed: int = 0, size_px: tuple[int, int] = (96, 128)):
-    """A real dataset of `count` pictures in `folder/dataset`, with colour, depth and masks."""
+    """Write a real dataset of `count` pictures with colour, depth and masks to `folder/dataset`."""
     rng = np.random.default_rng(seed)
     source = folder / "source"
     for name in ("rgb", "depth", "annotations"):

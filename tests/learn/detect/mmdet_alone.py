@@ -1,4 +1,4 @@
-"""Run by the interpreter of an environment that has mmdetection: its losses and detections.
+"""Compute losses and detections with mmdetection, in an interpreter that has this package.
 
 `python mmdet_alone.py CASE OUT`: CASE holds a configuration, a batch and its labels; OUT gets
 random weights under mmdetection's names, raw maps, each term of the loss, and what is detected.
@@ -16,8 +16,8 @@ warnings.filterwarnings("ignore")
 
 
 def stand_in_for_compiled_parts():
-    """mmcv-lite has no compiled operators, of which these two models need one; and mmdetection
-    refuses this release of mmcv by its number alone."""
+    """Replace the compiled operator that mmcv-lite lacks and these models need, and change the
+    release number of mmcv, for which alone mmdetection would refuse it."""
     compiled = types.ModuleType("mmcv._ext")
 
     def nms(boxes, scores, iou_threshold, offset):
@@ -32,7 +32,7 @@ def stand_in_for_compiled_parts():
 
 
 def with_lively_weights(model, image):
-    """Set weights whose scores vary over the picture without saturation, unlike fresh ones."""
+    """Set weights whose scores vary over the picture without saturation, unlike initial ones."""
     for module in model.modules():
         if isinstance(module, torch.nn.Conv2d):
             torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

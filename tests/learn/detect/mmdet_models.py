@@ -1,6 +1,6 @@
 """mmdetection's configurations of our networks, and its weights under our names."""
 
-# Published values, for the picture sizes that they were published for.
+# These are the published values, for the picture sizes of the publications.
 ANCHORS_416_PX = (
     ((116, 90), (156, 198), (373, 326)),
     ((30, 61), (62, 45), (59, 119)),
@@ -156,12 +156,12 @@ PARTS = {
         "judges.": ["mask_head.cls_convs.", "mask_head.conv_cls."],
     },
 }
-# The end of the classifier, which mmdetection keeps and does not run.
+# mmdetection keeps this end of the classifier but does not run it.
 UNUSED = {"mobilenet-v2": "backbone.conv2."}
 
 
 def under_our_names(model, backbone, state, ours):
-    """mmdetection's weights for a network of ours, whose state dict is `ours`."""
+    """Return mmdetection's weights under the names in `ours`, the state dict of our network."""
     unused = UNUSED.get(backbone, "nothing")
     left = {name: value for name, value in state.items() if not name.startswith(unused)}
     renamed = {}

@@ -15,7 +15,7 @@ CLASSES = 2  # discs and boxes
 
 
 def shape_pictures(count, *, size_px, channels, seed, parts=5):
-    """Bright parts on dark noise, later ones over earlier ones: images and targets."""
+    """Return images of bright parts on dark noise, which may overlap, and the targets."""
     draw = torch.Generator().manual_seed(seed)
     images, targets = [], []
     for _ in range(count):
@@ -43,7 +43,7 @@ def _part(label, size_px, chance):
 
 
 def target_of(mask, label, *, ignored=()):
-    """A target with the boxes that enclose the masks; `ignored` lists indices."""
+    """Return a target with the boxes that enclose the masks; `ignored` lists indices."""
     box = torch.zeros(len(mask), 4)
     for index, one in enumerate(mask):
         row, column = one.nonzero().T
@@ -55,7 +55,7 @@ def target_of(mask, label, *, ignored=()):
 
 
 def ap50(targets, answers, kind):
-    """COCO's average precision at an overlap of one half; `kind` is `bbox` or `segm`."""
+    """Return COCO's average precision at an overlap of 0.5; `kind` is `bbox` or `segm`."""
     truth, results = COCO(), []
     truth.dataset = {
         "images": [

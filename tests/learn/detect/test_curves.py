@@ -10,7 +10,7 @@ from graycast.learn.detect import run
 
 @pytest.mark.slow
 def test_curves_have_names_for_readers_and_a_legend_that_covers_no_line(tmp_path):
-    """The names of torchvision's losses and of one that is not known; boxes as they are drawn."""
+    """The losses have torchvision's names and one unknown name; legends are checked as drawn."""
     losses = ("loss", "loss_classifier", "loss_rpn_box_reg", "loss_own_term")
     precisions = ("box_ap", "box_ap50", "mask_ap", "mask_ap50")
     rows = [

@@ -101,8 +101,8 @@ def test_noisy_depth_has_the_stated_noise_and_holes():
 
 
 def test_two_pictures_with_the_same_seed_have_different_noise_and_holes():
-    """Picture 40 of a training had the noise of scene 40 of its validation, and so had all images
-    of one scene.
+    """Symptom: picture 40 of a training had the noise of scene 40 of its validation, and all images
+    of a scene had the same noise.
     """
     near, far = (np.full((120, 160), z_m, np.float32) for z_m in (0.6, 0.7))
     a, b = noisy(near, seed=40) - near, noisy(far, seed=40) - far

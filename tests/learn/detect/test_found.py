@@ -19,7 +19,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:Depreca
 
 @pytest.mark.parametrize("times", [1, 2])  # Larger factors round the corners.
 def test_boxes_and_outlines_are_scaled_with_the_picture(times):
-    """An input of 40 x 30 pixels of a picture so many times as large; edges lie between pixels."""
+    """A picture of `times` 40 x 30 pixels gives an input of 40 x 30; edges are between pixels."""
     mask = torch.zeros(2, 30, 40, dtype=torch.uint8)
     mask[0, 5:15, 10:30], mask[1, 0:10, 30:40] = 255, 255
     output = NetworkOutput(

@@ -39,7 +39,7 @@ def opened(model, *, channels=3, seed=0, size_px=SIZE_PX):
 
 
 def settled(network):
-    """The network in inference mode, with the norms of a picture: fresh ones score all alike."""
+    """Return the network in inference mode, with norms from a picture: new ones score all alike."""
     for norm in network.modules():
         if isinstance(norm, torch.nn.BatchNorm2d):
             norm.momentum = 1.0

@@ -58,7 +58,7 @@ def test_onnxruntime_and_torch_detect_the_same_parts_in_new_pictures(tmp_path, m
 
 
 class Session:
-    """onnxruntime's, giving what it is told to give."""
+    """A substitute for onnxruntime's session that returns the given outputs."""
 
     def __init__(self, *outputs):
         self.outputs = outputs

@@ -72,7 +72,7 @@ def mmdet_python():
 
 
 def ellipses(count, seed):
-    """Labels of one picture: ellipses anywhere, also across its edges and over each other."""
+    """Return labels of one picture: ellipses that may overlap or extend beyond its edges."""
     draw = torch.Generator().manual_seed(seed)
     row, column = torch.meshgrid(torch.arange(HEIGHT_PX), torch.arange(WIDTH_PX), indexing="ij")
     masks = torch.zeros(count, HEIGHT_PX, WIDTH_PX, dtype=torch.bool)

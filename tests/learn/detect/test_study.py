@@ -1,4 +1,4 @@
-"""Test studies: each combination runs once, and the tables have the judge's figures."""
+"""Test studies: each combination runs once, and the tables contain the evaluated scores."""
 
 import csv
 import io
@@ -163,7 +163,7 @@ def test_a_changed_detector_or_dataset_repeats_the_detection(tmp_path, monkeypat
 
 
 def boxes_alone(folder, name):
-    """A drawn set as others give theirs: COCO annotations without masks, colour alone."""
+    """Write a set as other programs do: COCO annotations without masks, and only colour."""
     write_shapes(folder / name, 4)
     path = folder / name / "source" / "annotations" / "drawn.json"
     content = json.loads(path.read_text())

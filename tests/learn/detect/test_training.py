@@ -335,7 +335,7 @@ def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
 
 
 def test_the_network_is_timed_in_the_arithmetic_used_for_detection(dataset, run, monkeypatch):
-    """Both timings use mixed precision if available, and no denormals, so they compare."""
+    """Both timings use mixed precision if available, and no denormals, so they are comparable."""
     monkeypatch.setattr(
         "graycast.learn.detect.detector.autocast",
         lambda device: torch.autocast("cpu", torch.bfloat16),
@@ -530,7 +530,7 @@ def test_impossible_inputs_of_detection_are_refused_in_one_line(dataset, run, tm
 def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
     dataset, run, tmp_path, capsys
 ):
-    """The scale is known from the dataset: no camera stands ten times as far away."""
+    """The scale is known from the dataset: no camera is ten times as far away."""
     shots = tmp_path / "shots"
     (shots / "depth").mkdir(parents=True)
     scene = dataset / "train" / "000000"

@@ -1,4 +1,4 @@
-"""A device that moved between groups of views: medians do not show that half of them moved."""
+"""Calibrations in which a device moved between groups of views, which medians do not show."""
 
 from dataclasses import replace
 
@@ -28,9 +28,9 @@ def views_of(count, *, first_seed=5, every=6):
 
 
 def knocked(view, turn_deg):
-    """Return the view of a camera rotated about its own centre: `K R K^-1` of each pixel.
+    """Return the view of a camera that was rotated about its centre.
 
-    This holds for a lens without distortion, whatever the board's pose.
+    Without distortion, the rotation maps each pixel by `K R K^-1`, for any pose of the board.
     """
     K = np.array([[1500.0, 0.0, 639.5], [0.0, 1500.0, 511.5], [0.0, 0.0, 1.0]])
     turn = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
@@ -40,7 +40,7 @@ def knocked(view, turn_deg):
 
 
 def shifted(view, by_px):
-    """Return the view whose board moved between its white picture and its code."""
+    """Return the view as if the board had moved between the white picture and the code."""
     px = view.corners.projector_px + np.array(by_px)
     return replace(view, corners=replace(view.corners, projector_px=px))
 
@@ -57,7 +57,7 @@ def calibrated(views):
 def test_a_calibration_is_refused_if_the_camera_moved_between_two_halves_of_the_views(
     first, count, turn_deg
 ):
-    """Symptom: a rig with focal lengths 15 to 18 % off, a stated 2.8 %, and no view named."""
+    """Symptom: focal lengths were 15 to 18 % off, 2.8 % was stated, and no view was named."""
     views = [knocked(v, turn_deg) if k >= first else v for k, v in enumerate(views_of(count))]
     names = f"views v0 to v{first - 1} and views v{first} to v{count - 1}"
     words = rf"{names} have the devices (\S+) degrees and \S+ mm apart: a device moved between them"
@@ -72,7 +72,7 @@ def test_a_calibration_is_refused_if_the_camera_moved_between_two_halves_of_the_
     [slow((1, 4, 7), (0.0, 5.0)), slow((0, 5, 9), (4.0, 0.0)), slow((9, 10, 11), (0.0, 6.0))],
 )
 def test_three_of_twelve_views_that_moved_together_are_left_out(bad, by_px):
-    """Symptom: the fit follows them; the medians of nine good views are those of a bad fit."""
+    """Symptom: the fit followed the three views, and so the medians of all views were bad."""
     views = [shifted(v, by_px) if k in bad else v for k, v in enumerate(views_of(12))]
     good, fit = calibrated(views)
     assert set(good.left_out) == {f"v{k}" for k in bad}
@@ -84,7 +84,7 @@ def test_three_of_twelve_views_that_moved_together_are_left_out(bad, by_px):
 
 @pytest.mark.parametrize("turn_deg", [slow(0.005), slow(0.01)])
 def test_deviations_include_a_movement_that_is_too_small_to_be_refused(turn_deg):
-    """Half of the views moved so little that the residual stays below 0.05 px.
+    """The camera moves so little for half of the views that the residual stays below 0.05 px.
 
     The error is several times the deviation that follows from the noise of the corners alone.
     """
@@ -98,7 +98,7 @@ def test_deviations_include_a_movement_that_is_too_small_to_be_refused(turn_deg)
 
 @pytest.mark.parametrize("seed", [slow(100 + 20 * k) for k in range(20)])
 def test_a_good_calibration_keeps_all_views_and_its_deviations(seed):
-    """Noise of the corners, which differs between views, is no reason to divide the views."""
+    """The views must not be divided, although the noise of corners differs between views."""
     rng = np.random.default_rng(seed)
     views = []
     for view in views_of(int(rng.integers(4, 12)), first_seed=seed):

@@ -1,6 +1,6 @@
-"""Rigs from simulated boards whose truth is known.
+"""Calibration of a known rig from simulated pictures of boards.
 
-A board is a plane, so its image in each device has a closed form: a camera ray meets the plane in a
+A board is a plane, so its image in each device has a closed form: a camera ray hits the plane at a
 point with a colour and a projector coordinate. Only the last test uses a renderer.
 """
 
@@ -50,7 +50,7 @@ RIG = Rig(
     far_m=1.0,
 )
 SIZE = (PROJECTOR.width_px, PROJECTOR.height_px)
-pytestmark = pytest.mark.slow  # boards that take half a minute
+pytestmark = pytest.mark.slow  # Making the boards takes half a minute.
 CHESSBOARD = parse_board("chessboard:9x7:0.025")
 CHARUCO = parse_board("charuco:6x5:0.04:0.03:DICT_4X4_50")
 DARK, PAPER, WALL = 0.05, 0.8, 0.3
@@ -61,7 +61,7 @@ SAMPLES = 4  # along each side of a pixel
 def camera_rays():
     """Return rays of the pixel centres and their change per pixel in x and y.
 
-    They are assumed to be linear within a pixel, with an error of about 1e-4 px.
+    Rays are assumed to be linear within a pixel, with an error of about 1e-4 px.
     """
     ray = rays(CAMERA, pixel_grid(CAMERA.height_px, CAMERA.width_px))
     return ray, np.gradient(ray, axis=1), np.gradient(ray, axis=0)
@@ -78,8 +78,8 @@ def chess_albedo(board):
 
 
 def charuco_albedo(board):
-    """Return a board as OpenCV prints it, the oracle for our order of markers and corners."""
-    cell = 48  # pixels per square: a marker of 3/4 with its 6 cells is then on whole pixels
+    """Return the albedo of a board as OpenCV draws it: an oracle for markers and corner ids."""
+    cell = 48  # pixels per square, so that markers of 3/4 square and their 6 cells fit pixels
     printed = board.charuco().generateImage((cell * board.squares_x, cell * board.squares_y))
 
     def albedo(x_m, y_m):
@@ -97,9 +97,9 @@ def on_plane(ray, T_cam_board):
 
 
 def photograph(camera_rays, T_cam_board, albedo):
-    """Return the albedo that the camera sees, in each pixel the mean over its square.
+    """Return a picture of the albedo: the mean of samples over the square of each pixel.
 
-    No two samples share a row or column, so that no edge crosses two at once.
+    No two samples share a row or a column, so that an edge along a row passes one at a time.
     """
     ray, by_x, by_y = camera_rays
     k = np.arange(SAMPLES**2)
@@ -142,7 +142,7 @@ def in_both(board, T_cam_board):
 
 
 def poses(board, n, *, seed, tilt_rad=0.65):
-    """Return boards in both devices' fields, tilted in all directions at several depths."""
+    """Return boards in the fields of both devices, tilted in all directions, at several depths."""
     rng = np.random.default_rng(seed)
     half = board.square_m / 2 * np.array([board.squares_x, board.squares_y, 0])
     T_cam_boards = []
@@ -189,7 +189,7 @@ def from_gray(gray_views):
 
 
 def assert_acceptable(calibration, *, share=1e-3, rms_px=0.1):
-    """Check focal lengths, centres and residuals of a calibration against their limits."""
+    """Check focal lengths, baseline and residuals of a calibration against their limits."""
     rig = calibration.rig
     for estimate, true in ((rig.camera, CAMERA), (rig.projector, PROJECTOR)):
         assert estimate.fx_px == pytest.approx(true.fx_px, rel=share)
@@ -207,14 +207,14 @@ def test_a_chessboard_with_plain_gray_code_recovers_the_rig(from_gray):
 
 @pytest.mark.slow
 def test_a_sub_pixel_code_recovers_the_rig_ten_times_better(exact_views):
-    """The code connects both devices at each corner, whatever the corner's own error is."""
+    """The code relates both devices at each corner, independent of the corner's own error."""
     calibration = calibrate_rig(exact_views, CHESSBOARD, projector_size_px=SIZE)
     assert_acceptable(calibration, share=1e-4, rms_px=0.05)
     assert calibration.epipolar_rms_px < 1e-3
 
 
 def test_standard_deviations_cover_the_errors(from_gray):
-    """No error exceeds 5 deviations, even of omitted terms; not all are within a tenth of one."""
+    """No error exceeds 5 deviations, also for terms set to 0; the RMS ratio is at least 0.1."""
     ratio = [(from_gray.rig.baseline_m - RIG.baseline_m) / from_gray.deviation["baseline_m"]]
     for device, true in (("camera", CAMERA), ("projector", PROJECTOR)):
         estimate = getattr(from_gray.rig, device)
@@ -230,7 +230,7 @@ def test_standard_deviations_cover_the_errors(from_gray):
 
 
 def test_the_poses_of_boards_are_recovered(from_gray, truth_poses):
-    """A chessboard without marks may be read rotated by half a turn."""
+    """A chessboard looks the same after half a turn, so only its middle and tilt are compared."""
     middle = CHESSBOARD.corners_m.mean(axis=0)
     for view, T in zip(from_gray.views, truth_poses, strict=True):
         estimate_m = transform_points(view.T_cam_board, middle)
@@ -246,7 +246,7 @@ def test_the_working_range_contains_all_corners(from_gray, truth_poses):
 
 @pytest.mark.slow
 def test_dark_squares_with_many_missing_codes_do_not_spoil_the_calibration(gray_views):
-    """Half of the dark pixels have no code, every twentieth of all has one bit wrong."""
+    """Half of the dark pixels have no code, and one in twenty of all pixels has a wrong bit."""
     rng = np.random.default_rng(5)
     worse = []
     for view in gray_views:
@@ -265,7 +265,7 @@ def test_dark_squares_with_many_missing_codes_do_not_spoil_the_calibration(gray_
 
 @pytest.mark.slow
 def test_a_charuco_board_half_out_of_the_picture_recovers_the_rig(camera_rays):
-    """Its corners have names, so a part of them is enough."""
+    """The corners of a ChArUco board have ids, so some of them are enough."""
     views = []
     for i, T in enumerate(poses(CHARUCO, 10, seed=3, tilt_rad=0.55)):
         if i % 3 == 0:
@@ -277,7 +277,7 @@ def test_a_charuco_board_half_out_of_the_picture_recovers_the_rig(camera_rays):
     assert min(view.corners for view in calibration.views) < 0.8 * CHARUCO.corner_count
 
 
-def test_charuco_corners_have_the_right_names(camera_rays):
+def test_charuco_corners_have_the_right_ids(camera_rays):
     T = poses(CHARUCO, 1, seed=8)[0]
     corners = find_corners(photograph(camera_rays, T, charuco_albedo(CHARUCO)), CHARUCO)
     true = project(CAMERA, transform_points(T, CHARUCO.corners_m[corners.id]))
@@ -286,7 +286,7 @@ def test_charuco_corners_have_the_right_names(camera_rays):
 
 
 def test_corners_are_located_to_a_few_hundredths_of_a_pixel(gray_views, truth_poses):
-    """The error is a third of OpenCV's sub-pixel positions in the same sharp pictures."""
+    """The error is at most a third of OpenCV's sub-pixel error in the same sharp pictures."""
     ours, opencv = [], []
     for view, T in zip(gray_views[:4], truth_poses[:4], strict=True):
         corners = find_corners(view.white, CHESSBOARD)
@@ -306,7 +306,7 @@ def to_nearest(point, targets):
 
 
 def test_a_sharp_edge_along_the_pixel_rows_does_not_move_a_corner():
-    """Symptom: corners 0.8 px off where an edge without blur ran within a degree of the rows."""
+    """Symptom: corners were 0.8 px off where a sharp edge was within a degree of the rows."""
     y, x = np.mgrid[0:41, 0:41]
     fine = np.arange(10) / 10 - 0.45
     worst = 0.0
@@ -338,7 +338,7 @@ def true_corners(T_cam_board):
 def test_projector_corners_are_interpolated_between_the_steps_of_the_code(
     camera_rays, truth_poses, plain_gray, allowed_px
 ):
-    """Exact code: the error of the quadratic. Gray code: a fifth of the rounding's 0.29 px."""
+    """An exact code shows the error of the quadratic; Gray code adds rounding of 0.29 px RMS."""
     for T in truth_poses[:3]:
         code = code_of(camera_rays, T)
         code = (np.rint(code) if plain_gray else code).astype(np.float32)
@@ -361,7 +361,7 @@ def test_a_corner_without_decoded_pixels_nearby_has_no_projector_position(camera
 
 
 def test_a_third_of_completely_wrong_pixels_does_not_move_a_corner(camera_rays, truth_poses):
-    """All errors are on one side, as after a wrong coarse bit, which no average could tolerate."""
+    """All errors have one sign, as after a wrong coarse bit, which no average would tolerate."""
     T = truth_poses[1]
     code = code_of(camera_rays, T).astype(np.float32)
     wrong = np.random.default_rng(4).random(code.shape[:2]) < 0.33
@@ -373,7 +373,7 @@ def test_a_third_of_completely_wrong_pixels_does_not_move_a_corner(camera_rays, 
 
 @pytest.mark.slow
 def test_corners_with_a_wrong_code_are_left_out_and_counted(truth_poses, exact_views):
-    """Around two corners of one view the code is off by a period of 8 columns."""
+    """Around two corners of one view, the code is off by 8 columns."""
     y, x = np.mgrid[0:360, 0:480]
     views, view = list(exact_views), exact_views[3]
     column = view.column.copy()
@@ -388,7 +388,7 @@ def test_corners_with_a_wrong_code_are_left_out_and_counted(truth_poses, exact_v
 
 
 def test_pixels_are_weighted_by_their_sigma(camera_rays, truth_poses):
-    """Two fifths of the pixels are off by 0.4 columns with this sigma: too little for outliers."""
+    """Two fifths of the pixels are off by 0.4 columns, which is too little for an outlier."""
     T = truth_poses[0]
     code = code_of(camera_rays, T).astype(np.float32)
     sigma = np.full(code.shape[:2], 0.1, dtype=np.float32)
@@ -407,7 +407,7 @@ def test_pixels_are_weighted_by_their_sigma(camera_rays, truth_poses):
 
 @pytest.mark.slow
 def test_a_view_whose_board_moved_is_named(camera_rays, truth_poses, gray_views):
-    """Its code was taken 2 mm nearer and rotated by a degree: after its white picture."""
+    """After the white picture, the board moved 2 mm nearer and rotated by a degree."""
     moved = truth_poses[4] @ rigid(axis_rotation("x", 0.02), np.array([0.001, 0.0, -0.002]))
     code = np.rint(code_of(camera_rays, moved)).astype(np.float32)
     views = list(gray_views)
@@ -426,7 +426,7 @@ def test_a_view_whose_board_moved_is_named(camera_rays, truth_poses, gray_views)
     ],
 )
 def test_a_mirrored_or_rotated_view_is_left_out_and_named(gray_views, turn, says):
-    """Symptom: a projector with fx 5 million and fy 0.4 px, and no error."""
+    """Symptom: the projector had fx 5 million and fy 0.4 px, and no error was raised."""
     view = gray_views[4]
     views = list(gray_views)
     views[4] = replace(view, white=view.white[turn], column=view.column[turn], row=view.row[turn])
@@ -537,8 +537,8 @@ def test_a_text_that_describes_no_board_is_refused_with_the_valid_forms(text, me
 
 
 @pytest.mark.slow
-def test_boards_seen_by_the_path_tracer_and_the_decoder_recover_the_rig(mitsuba_renderer):
-    """All steps of a real calibration: light, Gray stacks, decoder; no sensor noise."""
+def test_rendered_and_decoded_boards_recover_the_rig(mitsuba_renderer):
+    """The test has all steps of a real calibration, from light to decoding, except noise."""
     code = gray(*SIZE, inverses=True)
     pattern = code.render()
     levels = Levels(offset_dn=0.0, saturation_dn=65535.0, floor_dn2=1.0, slope_dn=1.0)
@@ -578,6 +578,6 @@ def textured_board(board, T_cam_board, cell=24):
     return Quad(
         center_m=tuple(transform_points(T_cam_board, size_m / 2).tolist()),
         half_u_m=tuple((half_m[0] * turn[:, 0]).tolist()),
-        half_v_m=tuple((-half_m[1] * turn[:, 1]).tolist()),  # up: its front is towards the camera
+        half_v_m=tuple((-half_m[1] * turn[:, 1]).tolist()),  # up: its front faces the camera
         material=Material(texture=np.repeat(grey[..., None], 3, axis=2), specular=0.0),
     )

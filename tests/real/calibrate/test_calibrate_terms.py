@@ -1,4 +1,4 @@
-"""Radial terms that the corners do not determine are 0 with a note; the others are kept."""
+"""Radial terms of the distortion: only terms that the corners determine are fitted."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def corners_of(
 ):
     """Return corners of seven tilted boards in both devices, with noise.
 
-    The projector position has the noise of the code, and that of the camera's corner.
+    The projector position has the noise of the code and the noise of the camera's corner.
     """
     rng = np.random.default_rng(seed)
     T_cam_proj = rigid(Rotation.from_euler("y", -0.2).as_matrix(), np.array([0.15, 0.0, 0.0]))
@@ -73,20 +73,20 @@ def corners_of(
     "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
 )
 def test_terms_that_a_long_lens_does_not_determine_are_left_out_with_a_note(seed):
-    """The field is 20 degrees wide, where r^6 is under 1e-4: k3 is undetermined, k1 is not."""
+    """With a field of 20 degrees, r^6 is below 1e-4, so k3 is undetermined; k1 is determined."""
     camera = projector = lens(3600.0, (-0.3, 0.0, 0.0, 0.0, 0.0))
     corners = corners_of(camera, projector, depth_m=0.8, seed=seed)
     fit = adjust(corners, SIZE, SIZE, radial_terms=3, tangential=True)
     for name, device in (("camera", fit.camera), ("projector", fit.projector)):
         value, sigma = fit.undetermined[f"{name}.k3"]
         assert abs(value) < 5 * sigma
-        assert sigma > 1  # a value like -113 +- 34, which no lens has
+        assert sigma > 1  # For example, k3 was -113 +- 34, which no lens has.
         assert device.distortion[4] == 0
         assert f"{name}.k3" not in fit.deviation
         assert abs(device.distortion[0] + 0.3) < 5 * fit.deviation[f"{name}.k1"]
     away = project(fit.camera, np.array([[0.15, 0.12, 0.9], [-0.15, -0.12, 0.9]]))
     true = project(camera, np.array([[0.15, 0.12, 0.9], [-0.15, -0.12, 0.9]]))
-    assert np.abs(away - true).max() < 2.0  # These errors are at the picture's corners.
+    assert np.abs(away - true).max() < 2.0  # at the corners of the picture
 
 
 @pytest.mark.slow
@@ -108,9 +108,9 @@ def test_terms_that_a_wide_lens_determines_are_kept():
 
 @pytest.mark.slow
 def test_errors_of_camera_corners_do_not_change_the_relative_pose():
-    """The code is a hundred times more precise than the corners: it determines the relative pose.
+    """The code, a hundred times more precise than the corners, determines the relative pose.
 
-    Without the camera's error in the projector position, the fit hides that.
+    A fit that ignores the camera's error in the projector position loses this precision.
     """
     lenses = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0)), lens(1400.0, (0.0,) * 5)
     carried = np.array([[0.9, 0.1], [-0.15, 1.1]])
@@ -129,9 +129,9 @@ def test_errors_of_camera_corners_do_not_change_the_relative_pose():
 
 @pytest.mark.slow
 def test_deviations_scale_with_the_square_root_of_the_number_of_corners():
-    """34 parameters reduce the squares of 36 corners by a quarter, and of 324 by a fortieth.
+    """34 parameters reduce the squared residuals of 36 corners by a quarter, of 324 by a fortieth.
 
-    Without a correction, that is 12 % of a deviation; four fits of 36 corners give 3 %.
+    Without a correction, deviations would be 12 % off; the error of the mean of four fits is 3 %.
     """
     camera = projector = lens(1500.0, (-0.1, 0.0, 0.0, 0.0, 0.0))
     ratio = []

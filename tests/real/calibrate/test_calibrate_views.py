@@ -1,4 +1,4 @@
-"""Views that cannot belong to one rig are left out or refused by name, as are impossible rigs."""
+"""Views that cannot belong to one rig, and impossible results, are left out or refused."""
 
 import re
 from dataclasses import replace
@@ -38,7 +38,7 @@ def observed():
 
 
 def with_one(observed, edit):
-    """Return the same with changed projector corners in view 2."""
+    """Return the views with changed projector corners in view 2."""
     views = list(observed.views)
     corners = views[2].corners
     changed = replace(corners, projector_px=edit(corners.projector_px, observed.views))
@@ -75,7 +75,7 @@ def test_a_view_that_does_not_belong_to_the_rig_is_left_out_and_named(edit, obse
 
 @pytest.fixture(scope="module")
 def many():
-    """Nine views of 14 corners: the fit cannot follow a single wrong one."""
+    """Return nine views of 14 corners, so that the fit cannot follow one wrong view."""
     views = []
     for seed, depth_m in ((5, 0.6), (6, 0.65), (7, 0.55)):
         corners = corners_of(*LENSES, depth_m=depth_m, seed=seed)
@@ -91,7 +91,7 @@ def many():
     [slow((60.0, 0.0)), slow((2.0, 0.0)), slow((5.0, 0.0)), (0.0, 5.0), slow((0.0, 8.0))],
 )
 def test_a_view_whose_board_moved_by_a_few_pixels_does_not_spoil_the_fit(shift_px, many):
-    """All its corners are outliers, so no pose of its board can be fitted."""
+    """All corners of the view are outliers, so the pose of its board cannot be fitted."""
     wrong = with_one(many, lambda px, views: px + np.array(shift_px))
     assert agreeing(wrong, SIZE, SIZE).left_out == {}, "it is found before the fit"
     good, fit = fit_agreeing(wrong, (SIZE, SIZE), 1, False)
@@ -109,8 +109,8 @@ def test_too_few_consistent_views_are_refused_with_the_reason_of_each(observed):
         few.less({"c": "dark 3"})
 
 
-def test_the_same_pose_taken_twice_is_named(observed):
-    """The board's corners differ by noise only; 15 px further it is another pose."""
+def test_two_views_of_the_same_pose_are_refused(observed):
+    """Corners that differ only by noise show the same pose; 15 px show another pose."""
     first = observed.views[0]
     rng = np.random.default_rng(1)
     again, moved = (
@@ -163,7 +163,7 @@ def device(**change):
         (device(), 9.0, "a residual of 9 px"),
     ],
 )
-def test_an_impossible_result_is_named(optics, rms_px, says):
+def test_an_impossible_result_is_described(optics, rms_px, says):
     (wrong, *_) = _impossible(optics, rms_px)
     assert says in wrong
 
@@ -171,8 +171,8 @@ def test_an_impossible_result_is_named(optics, rms_px, says):
 @pytest.mark.parametrize(
     "optics",
     [
-        device(cy_px=850.0),  # lens shift: the axis is below the picture
-        device(fx_px=1000.0, fy_px=2000.0),  # an array of diamond-shaped mirrors
+        device(cy_px=850.0),  # Lens shift moves the optical axis below the picture.
+        device(fx_px=1000.0, fy_px=2000.0),  # A projector may have diamond-shaped mirrors.
         device(fx_px=9000.0, fy_px=9000.0, distortion=(-0.3, 12.0, 0.0, 0.0, 0.0)),
         device(distortion=(-0.4, 0.2, 0.001, 0.001, 0.0)),
     ],

@@ -1,4 +1,4 @@
-"""Depth of an empty bin by the rasteriser, which is independent of the fit, with faults."""
+"""Rasterised depth of an empty bin, with noise and gaps; the fit does not use the rasteriser."""
 
 import numpy as np
 
@@ -10,11 +10,11 @@ from graycast.world.scene import Bin, bin_mesh
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=176.0, fy_px=176.0, cx_px=79.5, cy_px=59.5)
 BOX = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
-_TABLE_M = 0.8  # half its edge: no corner is behind the camera
+_TABLE_M = 0.8  # half of the edge length, so that no corner is behind the camera
 
 
 def pose(tilt_deg=12.0, azimuth_deg=8.0, roll_deg=3.0, distance_m=0.9, aside_m=(0.02, -0.03)):
-    """Return `T_world_cam` of a camera above the bin whose x axis is roughly along azimuth."""
+    """Return `T_world_cam` of a camera above the bin; its x axis has about this azimuth."""
     turn = axis_rotation("z", np.radians(azimuth_deg))
     tilt = np.radians(tilt_deg)
     away = turn @ np.array([0.0, -np.sin(tilt), np.cos(tilt)])
@@ -25,7 +25,7 @@ def pose(tilt_deg=12.0, azimuth_deg=8.0, roll_deg=3.0, distance_m=0.9, aside_m=(
 
 
 def perfect_depth(T_world_cam, box=BOX, camera=CAMERA, blocks=()):
-    """Return z-depth of bin, table and blocks (low corner, high corner); NaN for no surface."""
+    """Return z-depth of bin, table and blocks (low and high corners); NaN without a surface."""
     meshes = [(bin_mesh(box).vertices_m, bin_mesh(box).faces), _table(box.wall_m)]
     meshes += [_block(np.array(low), np.array(high)) for low, high in blocks]
     depth = np.full((camera.height_px, camera.width_px), np.inf)
@@ -48,7 +48,7 @@ def view(depth_m, camera=CAMERA, rgb=None, name="made"):
 
 
 def world_points(depth_m, T_world_cam, camera=CAMERA):
-    """Return each pixel's point in the bin's frame."""
+    """Return the point at each pixel in the frame of the bin."""
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
     ray = np.stack([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px], -1)
     point = np.concatenate([ray, np.ones_like(ray[..., :1])], -1) * depth_m[..., None]
@@ -56,7 +56,7 @@ def world_points(depth_m, T_world_cam, camera=CAMERA):
 
 
 def without(depth_m, T_world_cam, hidden, box=BOX, camera=CAMERA):
-    """Remove the depth of points for which `hidden(point)` is true, in the bin's frame."""
+    """Remove the depth of points for which `hidden` is true; it takes points in the bin's frame."""
     point = world_points(depth_m, T_world_cam, camera)
     return np.where(hidden(point), np.nan, depth_m)
 

@@ -1,4 +1,4 @@
-"""The mesh of a bin is bent to scans of a bin whose true shape is known."""
+"""Bending of a bin's mesh to scans of a bin whose true shape is known."""
 
 import json
 from dataclasses import replace
@@ -32,7 +32,7 @@ from .empty_bins import noisy, perfect_depth, pose
 CAMERA = Optics(width_px=400, height_px=300, fx_px=330.0, fy_px=330.0, cx_px=199.5, cy_px=149.5)
 BOX = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
 STRAIGHT = Mesh(vertices_m=bin_mesh(BOX).vertices_m, faces=bin_mesh(BOX).faces)
-# The camera is above the wall -x, so that the wall +x is not seen at a grazing angle.
+# The camera is above the wall -x, so that it does not see the wall +x at a grazing angle.
 T = pose(azimuth_deg=0.0, distance_m=0.6, aside_m=(-0.08, -0.02))
 # Low and high corner of blocks above the middle of the floor, much nearer than the floor.
 BLOCKS = (((-0.06, -0.05, 0.03), (0.05, 0.04, 0.06)), ((0.06, -0.02, 0.0), (0.10, 0.05, 0.05)))
@@ -49,7 +49,7 @@ def cast(mesh, T=T, camera=CAMERA):
 
 @cache
 def bulged():
-    """Return the finely cut box: the wall +x moves out by 6 mm, the floor down by 3 mm."""
+    """Return a finely meshed box whose wall +x bulges by 6 mm and whose floor sags by 3 mm."""
     x, y, z = (size / 2 for size in BOX.inner_m)
     vertices, faces = trimesh.remesh.subdivide_to_size(
         STRAIGHT.vertices_m, STRAIGHT.faces, 5e-3, max_iter=20
@@ -83,7 +83,7 @@ def scanned():
 
 
 def test_the_visible_surface_of_the_bent_mesh_equals_the_measured_surface(scanned):
-    """Oracle: the depth of the scanned shape, bent by formulas in the bin's frame."""
+    """Oracle: the depth of the true shape, which is bent by a formula in the bin's frame."""
     true_m, scan_m, covered, bent = scanned
     straight_m = cast(STRAIGHT)
     point = T[:3, 3] + _rays() @ T[:3, :3].T * straight_m[..., None]
@@ -126,7 +126,7 @@ def test_a_bent_bin_is_still_a_solid(scanned):
     assert bent.is_watertight
     assert bent.is_winding_consistent
     assert bent.volume == pytest.approx(solid(STRAIGHT).volume, rel=0.05)
-    # The wall's outside moves with its inside, so it bulges, too.
+    # The outside of a wall moves with its inside, so it bulges, too.
     _, y, z = bent.vertices.T
     middle = (np.abs(y) < 0.02) & (np.abs(z - 0.075) < 0.02)
     assert bent.vertices[middle, 0].max() > BOX.inner_m[0] / 2 + BOX.wall_m + 3e-3
@@ -142,7 +142,7 @@ def test_a_bin_at_another_place_is_refused():
 
 @pytest.mark.slow
 def test_a_flat_part_in_one_of_two_views_does_not_bend_the_bin():
-    """The median of two is their mean, which lies halfway between the part and the floor.
+    """The median of two depths is their mean, here halfway between the part and the floor.
 
     Oracle: the depth of the same bin without the part.
     """
@@ -169,9 +169,9 @@ SMALL = shrunk(CAMERA, 200, 150)
 
 @pytest.fixture
 def cell(tmp_path, monkeypatch):
-    """A configuration whose bin is a mesh, and a scan of the bulged bin.
+    """Write a configuration whose bin is a mesh, and a scan of the bulged bin.
 
-    The fit starts at the true pose: tests/real/fit_bin/test_pose.py starts far from it.
+    The fit starts at the true pose; tests/real/fit_bin/test_pose.py tests other start poses.
     """
     search = fitting.find_pose
     monkeypatch.setattr(fitting, "find_pose", lambda *a, **k: search(*a, **k | {"stated": T}))
@@ -206,7 +206,7 @@ def test_the_new_configuration_names_the_bent_mesh_and_gives_the_scanned_depth(c
     assert section["unit"] == "m"
     assert section["material"]["base_color"] != [0.5, 0.5, 0.5]
     scene = resolve_cell(load_config(out), folder).scene
-    # A loaded mesh is moved to the middle of its floor, and the camera's pose moves with it.
+    # The origin is moved to the middle of the bent floor, and the camera's pose accordingly.
     off_m = np.abs(cast(scene.bin.mesh, scene.T_world_cam, SMALL) - np.load(scan))
     assert np.nanmedian(off_m) < 0.3e-3
     report = json.loads((folder / "fitted.fit.json").read_text())["bent"]

@@ -1,4 +1,4 @@
-"""The empty bin, composed from views with parts in them."""
+"""The view of an empty bin, composed from views of the bin with parts."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ CAMERA = Optics(width_px=W, height_px=H, fx_px=80.0, fy_px=80.0, cx_px=39.5, cy_
 
 
 def cluttered(count, rng, sigma_m=2e-4):
-    """Return a tilted floor, a quarter of it hidden by boxes at other positions in each view."""
+    """Return a tilted floor, and views in which boxes at random positions hide a quarter of it."""
     floor_m = 0.8 + 0.001 * np.arange(W)[None] + np.zeros((H, 1))
     views = []
     for _ in range(count):
@@ -35,7 +35,7 @@ def test_a_composite_of_five_views_shows_the_floor_without_parts_and_outliers():
     known = ~np.isnan(empty.depth_m)
     off = np.abs(empty.depth_m - floor_m)[known]
     assert known.mean() > 0.95
-    assert (off < 1e-3).mean() > 0.98  # points that the parts of two views hide may remain
+    assert (off < 1e-3).mean() > 0.98  # Parts at the same place in two views may remain.
     assert (empty.rgb[known] == 40).all(axis=-1).mean() > 0.95
 
 

@@ -1,4 +1,4 @@
-"""The pose of a mesh bin, from depth of its inside in closed form."""
+"""The pose of a bin with a mesh, from closed-form depth of its inside."""
 
 import numpy as np
 import pytest
@@ -24,15 +24,15 @@ def shape(tmp_path_factory):
 
 
 def inside_depth(T_world_cam, crate=CRATE, camera=CAMERA):
-    """Return z-depth of floor and walls, where each ray leaves the space between their planes.
+    """Return z-depth of floor and walls: where each ray leaves the space between their planes.
 
-    NaN if a ray leaves or enters this space other than through the opening.
+    It is NaN if the ray does not enter this space through the opening and leave it below.
     """
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
     ray = np.stack([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px], -1)
     ray = np.concatenate([ray, np.ones_like(ray[..., :1])], -1) @ T_world_cam[:3, :3].T
     eye, half = T_world_cam[:3, 3], crate.half_m(0)
-    planes = [((0, 0, -1), 0.0)]  # n . p <= d inside
+    planes = [((0, 0, -1), 0.0)]  # Inside, n . p <= d.
     for k in (0, 1):
         for sign in (1, -1):
             normal = np.zeros(3)
@@ -56,9 +56,10 @@ def test_pixels_are_assigned_to_the_faces_that_their_rays_meet(shape):
     face, z = shape.cast(T, grid)
     known = np.isfinite(grid.depth_m)
     assert known.mean() > 0.1
-    assert np.abs(z - grid.depth_m)[known].max() < 1e-5  # STL has single precision
+    assert np.abs(z - grid.depth_m)[known].max() < 1e-5  # STL has single precision.
     names = np.array(shape.names)[shape.surface[face[known]]]
-    assert set(names) == {"floor", "wall +x", "wall -x", "wall +y"}  # the near wall hides itself
+    # The camera does not see the inside of the wall -y.
+    assert set(names) == {"floor", "wall +x", "wall -x", "wall +y"}
     outside = np.array(shape.names)[shape.surface[face[~known & (face != NO_FACE)]]]
     assert "rim and ledges" in outside
 
@@ -80,7 +81,7 @@ def test_surfaces_of_a_mesh_are_named_by_their_direction(shape):
 
 def test_a_point_is_assigned_to_its_nearest_face_with_the_distance(shape):
     slope = np.hypot(1.0, CRATE.lean)
-    wall = np.array([-1.0, 0.0, CRATE.lean]) / slope  # inward, of the wall towards +x
+    wall = np.array([-1.0, 0.0, CRATE.lean]) / slope  # inward normal of the wall +x
     on_wall = np.array([CRATE.half_m(0.07)[0], 0.02, 0.07])
     point = np.array([[0.1, 0.0, 0.002], on_wall + 0.003 * wall, on_wall - 0.001 * wall])
     normal = np.array([[0.0, 0.6, 0.8], wall, wall])
@@ -89,7 +90,7 @@ def test_a_point_is_assigned_to_its_nearest_face_with_the_distance(shape):
     assert height_over(shape, point, face) == pytest.approx([0.002, 0.003, -0.001], abs=2e-6)
     assert distance_m == pytest.approx([0.002, 0.003, 0.001], abs=2e-6)
     face, _ = shape.nearest(point, -normal, np.array([0.0, 0.0, 1.0]))
-    # A surface that faces the other way is on a wall's outside, 3 mm away, where it is invisible.
+    # Points with the opposite normal would be on the outside of a wall, which is invisible.
     assert (face == NO_FACE).all()
 
 
@@ -121,7 +122,7 @@ def test_a_box_given_as_a_mesh_is_fitted_like_the_box():
 
 @pytest.mark.slow
 def test_the_pose_of_a_crate_with_inclined_walls_is_found_without_a_hint(shape):
-    """A box instead would leave 6 mm at floor and rim; the residuals are the noise."""
+    """The residuals are the noise, whereas a box would leave 6 mm at floor and rim."""
     T = pose(tilt_deg=25.0, azimuth_deg=20.0)
     views = [view(noisy(inside_depth(T), 0.4e-3, 1))]
     azimuth = np.arctan2(T[1, 0], T[0, 0])
@@ -137,7 +138,7 @@ def test_the_pose_of_a_crate_with_inclined_walls_is_found_without_a_hint(shape):
 
 
 def test_a_direction_without_walls_is_determined_by_the_rim_of_a_mesh(shape):
-    """Both walls across x are lost except for the floor's ends: the rim is where depth ends."""
+    """Both walls across x have no depth, so only the ends of the floor and the rim determine x."""
     T = pose(tilt_deg=0.0, azimuth_deg=0.0, roll_deg=0.0, aside_m=(0.0, 0.0))
     depth_m = inside_depth(T)
     x = np.mgrid[0 : CAMERA.height_px, 0 : CAMERA.width_px][1]

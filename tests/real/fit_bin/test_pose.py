@@ -1,4 +1,4 @@
-"""The bin's pose from depth with noise, lost walls and objects in the bin."""
+"""The pose of a bin from depth with noise, missing walls and objects in the bin."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ CLUTTER = (
 
 
 def faulty(T, seed, box=BOX):
-    """Return depth with 0.4 mm of noise, three blocks on the floor, and without the wall +x."""
+    """Return a view with 0.4 mm of noise and three blocks on the floor, without the wall +x."""
     depth_m = noisy(perfect_depth(T, box, blocks=CLUTTER), 0.4e-3, seed)
     half, height = box.inner_m[0] / 2, box.inner_m[2]
     lost = lambda p: (np.abs(p[..., 0] - half) < 0.006) & (p[..., 2] < height - 0.004)  # noqa: E731
@@ -33,7 +33,7 @@ def faulty(T, seed, box=BOX):
 
 
 def test_ray_casting_and_rasterising_give_the_same_depth_of_the_box():
-    """Oracle: rig.meshdepth on scene.bin_mesh, triangles by edge functions, without the table."""
+    """Oracle: `rig.meshdepth`, which rasterises the triangles of `scene.bin_mesh`."""
     T = pose(tilt_deg=35.0)
     box = open_box(BOX.inner_m, BOX.wall_m)
     scan = view(perfect_depth(T))
@@ -42,7 +42,7 @@ def test_ray_casting_and_rasterising_give_the_same_depth_of_the_box():
     hit = face != NO_FACE
     assert hit.mean() > 0.2
     off_m = np.abs(z[hit] - grid.depth_m[hit])
-    assert np.mean(off_m < 1e-9) > 0.995  # pixel centres on an edge may belong to either side
+    assert np.mean(off_m < 1e-9) > 0.995  # A pixel centre on an edge may belong to either side.
     names = {box.names[f] for f in np.unique(face[hit])}
     assert {"floor", "wall +y", "wall +x", "wall -x", "rim -x", "outside -y"} <= names
 
@@ -56,7 +56,8 @@ def test_a_point_is_assigned_to_its_nearest_face_with_the_distance():
     assert [box.names[f] for f in face] == ["floor", "wall +x", "wall -y", "wall +y"]
     assert height_over(box, point, face) == pytest.approx([0.002, 0.002, 0.001, -0.003])
     assert distance_m == pytest.approx([0.002, 0.002, 0.001, 0.003])
-    level = np.tile([0.0, 0.0, 1.0], (4, 1))  # the second is 70 mm above the floor, not on a wall
+    # With vertical normals, the second point belongs to the floor, 70 mm below it.
+    level = np.tile([0.0, 0.0, 1.0], (4, 1))
     face, distance_m = box.nearest(point, level, eye_m)
     assert [box.names[f] for f in face] == ["floor", "floor", "rim -y", "rim +y"]
     assert distance_m[1] == pytest.approx(0.07)
@@ -66,19 +67,20 @@ def test_a_point_is_assigned_to_its_nearest_face_with_the_distance():
 
 @pytest.mark.slow
 def test_normals_of_a_cloud_equal_the_normals_of_the_faces():
-    """Oracle: the bin's planes are horizontal or vertical, so one component is 1."""
+    """Oracle: all planes of the bin are normal to an axis, so one component is 1 or -1."""
     T = pose(tilt_deg=30.0)
     cloud = view(perfect_depth(T)).cloud()
     normal = cloud[:, 3:] @ T[:3, :3].T
     assert np.linalg.norm(normal, axis=1) == pytest.approx(np.ones(len(normal)))
-    assert np.mean(np.abs(normal).max(axis=1) > 1 - 1e-6) > 0.9  # except for pixels at edges
+    assert np.mean(np.abs(normal).max(axis=1) > 1 - 1e-6) > 0.9  # all except pixels at edges
     assert ((cloud[:, :3] * cloud[:, 3:]).sum(axis=1) < 0).all()  # towards the camera
 
 
 def test_planes_are_sorted_by_size_and_their_normals_point_to_the_camera():
     T = pose(tilt_deg=0.0, roll_deg=0.0, azimuth_deg=0.0, aside_m=(0.0, 0.0))
     detections = planes(view(perfect_depth(T)).grid(80).point_m, seed=0)
-    camera_z = T[2, 3]  # looks straight down: a level z is the plane n = (0, 0, -1), d = z - camera
+    # The camera looks straight down: height z is the plane n = (0, 0, -1), d = z - camera_z.
+    camera_z = T[2, 3]
     table, floor = detections[0], detections[1]
     for (normal, offset_m), level_m in ((table, -0.012), (floor, 0.0)):
         assert normal == pytest.approx([0, 0, -1], abs=1e-6)
@@ -118,7 +120,7 @@ def test_the_pose_is_found_without_a_hint_despite_noise_and_a_missing_wall(seed,
 
 
 def test_a_close_initial_pose_converges_despite_noise_objects_and_a_missing_wall():
-    """It starts 25 mm and 4 degrees away; 0.4 mm of noise in thousands of pixels is 0.05 mm."""
+    """The fit starts 25 mm and 4 degrees away from the true pose."""
     T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
     away = rigid(axis_rotation("z", np.radians(4.0)), np.array([0.02, -0.015, 0.004])) @ T
     views = [faulty(T, 0)]
@@ -133,7 +135,7 @@ def test_a_close_initial_pose_converges_despite_noise_objects_and_a_missing_wall
 
 
 def test_the_map_of_residuals_shows_the_distance_of_each_face():
-    """The bin is 2 mm longer and its camera 1 mm lower than stated: all faces are 1 mm off."""
+    """The bin is 2 mm longer in x and its camera 1 mm higher than stated."""
     T = pose(tilt_deg=0.0)
     lower = T.copy()
     lower[2, 3] -= 1e-3
@@ -162,7 +164,7 @@ def test_the_pose_is_found_without_the_thickness_of_the_walls():
 @pytest.mark.slow
 @pytest.mark.parametrize(("inner_m", "turns"), [((0.40, 0.30, 0.15), 2), ((0.35, 0.35, 0.15), 4)])
 def test_the_pose_nearest_to_the_stated_azimuth_is_chosen_among_symmetric_poses(inner_m, turns):
-    """They differ by rotations of the bin about its z."""
+    """Symmetric poses differ by rotations of the bin about its z axis."""
     box, T = Bin(inner_m=inner_m), pose(tilt_deg=5.0)
     views = [view(perfect_depth(T, box))]
     own = np.arctan2(T[1, 0], T[0, 0])
@@ -175,7 +177,7 @@ def test_the_pose_nearest_to_the_stated_azimuth_is_chosen_among_symmetric_poses(
 
 
 def test_an_undetermined_direction_is_named():
-    """If a bin has no depth of both walls across x, inside or outside, x is free."""
+    """If both walls across x have no depth, inside and outside, x is undetermined."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
     lost = lambda p: (np.abs(p[..., 0]) > 0.18) | (p[..., 2] < -0.004)  # noqa: E731
     views = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, lost))]
@@ -184,7 +186,7 @@ def test_an_undetermined_direction_is_named():
     spot = lambda p: lost(p) & ~((p[..., 0] > 0.18) & (np.abs(p[..., 1]) < 0.016))  # noqa: E731
     views = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, spot))]
     fit = judge(views, open_box(BOX.inner_m), register(views[0].cloud(), T, open_box(BOX.inner_m)))
-    assert fit.sigma[0] < 0.2e-3  # its noise is small, but a spot may be an object
+    assert fit.sigma[0] < 0.2e-3  # The noise is small, but a small spot may be an object.
     assert fit.loose == ("x",)
     whole = [view(noisy(perfect_depth(T), 0.3e-3, 5))]
     box = open_box(BOX.inner_m)
@@ -193,7 +195,7 @@ def test_an_undetermined_direction_is_named():
 
 @pytest.mark.slow
 def test_stated_deviations_agree_with_the_scatter_over_many_noise_samples():
-    """Oracle: the scatter of 24 fits; its own relative error is 1 / sqrt(2 (n - 1)), 15 %."""
+    """Oracle: the scatter of 24 fits, with a relative error of 1 / sqrt(2 (n - 1)) = 15 %."""
     T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
     clean = perfect_depth(T)
     fits = []
@@ -203,7 +205,7 @@ def test_stated_deviations_agree_with_the_scatter_over_many_noise_samples():
     place = np.array([fit.T_world_cam @ np.linalg.inv(T) for fit in fits])[:, :3, 3]
     ratio = place.std(axis=0, ddof=1) / np.mean([fit.sigma[:3] for fit in fits], axis=0)
     assert (ratio > 1 - 3 * 0.15).all()
-    assert (ratio < 1.3 + 3 * 0.15).all()  # pixels that change sides at edges add a little
+    assert (ratio < 1.3 + 3 * 0.15).all()  # Pixels at edges that change faces add scatter.
 
 
 def test_residuals_by_face_show_that_a_bin_is_longer_than_stated():
@@ -240,9 +242,9 @@ def test_several_views_share_one_pose_and_their_disagreement_is_reported():
 
 
 def test_edges_determine_a_position_that_no_wall_determines():
-    """Both walls across x are lost inside: only rim and floor show it, to a fraction of a pixel.
+    """Both inner walls across x have no depth: only edges of rim and floor determine x.
 
-    A pixel is 5 mm wide here; about 200 of them are on edges across x.
+    A pixel is 5 mm wide, and about 200 pixels are on edges across x.
     """
     T = pose(tilt_deg=0.0)
     lost = lambda p: (np.abs(np.abs(p[..., 0]) - 0.2) < 0.006) & (p[..., 2] < 0.146)  # noqa: E731
@@ -258,7 +260,7 @@ def test_edges_determine_a_position_that_no_wall_determines():
 
 
 def test_edges_outside_the_picture_do_not_determine_a_position():
-    """A floor alone, whose ends are out of the picture, determines no position."""
+    """A floor whose ends are outside the picture determines no position."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), distance_m=0.9)
     flat = view(np.full((120, 160), T[2, 3]))
     huge = open_box((3.0, 2.0, 0.1))
@@ -268,7 +270,7 @@ def test_edges_outside_the_picture_do_not_determine_a_position():
 
 
 def test_a_face_with_little_depth_has_little_weight():
-    """One of two walls is 2 mm off: the bin moves half way, and less with a tenth of its weight."""
+    """One of two walls is 2 mm off: the bin moves by 1 mm, or less if the wall has less weight."""
     T = pose(tilt_deg=0.0, azimuth_deg=0.0, roll_deg=0.0, aside_m=(0.0, 0.0))
     box = open_box(BOX.inner_m)
     cloud = view(perfect_depth(T)).cloud()

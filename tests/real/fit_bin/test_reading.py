@@ -1,4 +1,4 @@
-"""Real files as views: depth, clouds, folders, and scenes of a dataset."""
+"""Reading of views from depth files, folders, and scenes of a dataset."""
 
 import json
 import shutil
@@ -28,7 +28,7 @@ def depth_file(tmp_path):
     return tmp_path / "a.png"
 
 
-def test_depth_of_the_rig_s_size_uses_the_rig_s_camera(depth_file):
+def test_depth_of_the_same_size_as_the_rig_uses_the_camera_of_the_rig(depth_file):
     (view,) = read_views([depth_file], options=FILE_OPTIONS, own=OWN)
     assert view.camera == OWN
     assert np.isnan(view.depth_m[0, 0])
@@ -84,7 +84,7 @@ def stored_scene(tmp_path_factory):
 
 
 def damaged(change):
-    """Return the text of a scene's cameras with a change in the only one."""
+    """Return a function that changes the only camera in the text of `scene_camera_sl.json`."""
 
     def of(text):
         content = json.loads(text)
@@ -130,7 +130,7 @@ def test_a_camera_without_focal_length_is_reported_with_its_picture(stored_scene
         read_views([scene], options=FileOptions(), own=OWN)
 
 
-def test_frames_must_have_the_size_of_the_view_s_camera(depth_file, tmp_path):
+def test_frames_must_have_the_size_of_the_view(depth_file, tmp_path):
     (view,) = read_views([depth_file], options=FILE_OPTIONS, own=OWN)
     for name, size in (("white", (30, 40)), ("black", (15, 20))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.full(size, 32768, dtype=np.uint16))
@@ -141,7 +141,7 @@ def test_frames_must_have_the_size_of_the_view_s_camera(depth_file, tmp_path):
 
 
 def test_white_and_black_frames_separate_lamps_and_projector_for_any_reflectance():
-    """Closed form: w is the projector's light, s a the lamps', b the leak; r cancels."""
+    """Oracle: the formula of the two frames, in which the reflectance cancels."""
     rng = np.random.default_rng(3)
     w, a, r = rng.uniform(1, 2, (30, 40)), rng.uniform(0.2, 0.9, (30, 40)), rng.uniform(0.1, 0.8)
     for scale in (0.3, 2.0):

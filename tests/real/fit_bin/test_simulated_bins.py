@@ -1,4 +1,4 @@
-"""Empty bins through the whole virtual camera: poses, and reproduced pictures."""
+"""Fits of simulated bins with all noise of the scanner: poses, and reproduced pictures."""
 
 import json
 from dataclasses import replace
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_poses_of_19_of_20_random_bins_are_found_within_1_mm_and_0_3_degrees(mitsuba_renderer):
-    """With noise of the whole camera, 3 to 8 parts, and 30 % of the inner walls without depth."""
+    """The bins contain 3 to 8 parts, and 30 % of the inner walls have no depth."""
     rows = study(20, mitsuba_renderer, seed=0, on_bin=lambda row: None)
     assert all(abs(row["lost"] - LOST) < 0.005 for row in rows)
     good = [row["off_mm"] < 1 and row["off_deg"] < 0.3 for row in rows]
@@ -54,7 +54,7 @@ def grey(material=None):
 
 
 def real_words(scale=1.0):
-    """Return the real cell: its own colours, lamps several times as bright as configured."""
+    """Return the configuration of the real cell, with its own colours and brighter lamps."""
     light = {
         "environment": {"radiance": [scale * v for v in LIGHT["environment"]["radiance"]]},
         "lamps": [LAMP | {"radiance": [scale * v for v in LAMP["radiance"]]}],
@@ -64,13 +64,13 @@ def real_words(scale=1.0):
 
 
 def base_words():
-    """Return the known values: size, rig and lamps; all surfaces have one grey."""
+    """Return the configuration of the user: size and lamps are known, all surfaces are grey."""
     light = {**LIGHT, "lamps": [LAMP]}
     return {"bin": BIN | {"material": grey()}, "light": light, "table": grey()}
 
 
 def make_cell(folder, words):
-    """Write a configuration of the paper's rig with a camera of 344 x 258 pixels."""
+    """Write a configuration with the rig "paper" and a camera of 344 x 258 pixels."""
     folder.mkdir()
     path = write_cell(folder, **words)
     rig = preset_rig("paper")
@@ -80,7 +80,7 @@ def make_cell(folder, words):
 
 
 def photographed(path, renderer, *, seed, samples=64):
-    """Return depth, colour picture, and the white and black frames of the empty bin."""
+    """Return cell, rendering, capture, depth and colour picture of the empty bin."""
     cell = resolve_cell(load_config(path), path.parent)
     quality = Quality(samples=samples, depth=4)
     rendering = renderer.render(
@@ -94,7 +94,7 @@ def photographed(path, renderer, *, seed, samples=64):
 
 
 def write_shot(folder, depth_m, rgb, capture):
-    """Write a real camera's files: floats in metres, PNG, and linear 16-bit frames."""
+    """Write the files of a real camera: depth in metres, PNG, and linear 16-bit frames."""
     np.save(folder / "depth.npy", depth_m.astype(np.float32))
     cv2.imwrite(str(folder / "rgb.png"), rgb[..., ::-1])
     sensor = capture.sensor
@@ -110,7 +110,7 @@ def run(*arguments):
 
 
 def surface_colors(cell, rendering, rgb):
-    """Return the median 8-bit colour of walls, floor and table, by the renderer's truth."""
+    """Return the median 8-bit colour of walls, floor and table, at pixels by true depth."""
     camera, T = cell.scene.rig.camera, cell.scene.T_world_cam
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
     ray = np.stack([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px], -1)
@@ -131,10 +131,10 @@ def surface_colors(cell, rendering, rgb):
 def test_a_fitted_configuration_reproduces_the_pictures_of_the_fit(
     scale, tmp_path, mitsuba_renderer, capsys
 ):
-    """A simulation, a fit that starts in grey, and its simulation have colours within 3 of 255.
+    """The fit starts with grey surfaces; its simulation has the real colours within 3 of 255.
 
-    The noise of a median is far below 1; 3 is the sum of 0.3 % of each reflectance, its rounding,
-    and the exposure, which follows the brightest 2 % of the pixels.
+    The noise of a median is far below 1. The limit of 3 allows for 0.3 % of each reflectance, for
+    rounding, and for the exposure, which depends on the brightest 2 % of the pixels.
     """
     real = make_cell(tmp_path / "real", real_words(scale))
     cell, rendering, capture, depth, rgb = photographed(real, mitsuba_renderer, seed=1)
@@ -173,7 +173,7 @@ def test_a_fitted_configuration_reproduces_the_pictures_of_the_fit(
 def test_a_fit_without_frames_keeps_the_lamps_and_finds_the_right_colours(
     tmp_path, mitsuba_renderer
 ):
-    """If the floor is stated twice as bright, all reflectances double, which no picture shows."""
+    """If the stated reflectance of the floor doubles, all fitted reflectances double."""
     real = make_cell(tmp_path / "real", real_words())
     cell, _, _, depth, rgb = photographed(real, mitsuba_renderer, seed=1)
     view = BinView(name="real", camera=cell.scene.rig.camera, depth_m=depth.depth_m, rgb=rgb)
@@ -199,4 +199,4 @@ def test_a_fit_without_frames_keeps_the_lamps_and_finds_the_right_colours(
     dim, bright = (
         np.concatenate([look.reflectance[n] for n in ("table", "floor")]) for look in looks
     )
-    assert bright / dim == pytest.approx(np.full(6, 2.0), rel=0.25)  # except for interreflection
+    assert bright / dim == pytest.approx(np.full(6, 2.0), rel=0.25)  # Interreflection changes it.

@@ -1,4 +1,4 @@
-"""The bin's floor as a surface of its own."""
+"""A bin whose floor has another material than its walls."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def test_the_inner_rectangle_at_height_0_is_the_floor_and_the_rest_is_walls():
     corner = floor.vertices_m[floor.faces]
     assert (corner[..., 2] == 0).all()
     area = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    assert area.sum(axis=0) == pytest.approx([0, 0, 0.4 * 0.3])  # All of it faces up.
+    assert area.sum(axis=0) == pytest.approx([0, 0, 0.4 * 0.3])  # All faces of the floor point up.
     assert len(walls.faces) + len(floor.faces) == len(bin_mesh(box).faces)
     others = {tuple(face) for face in walls.faces.tolist()}
     assert not others & {tuple(face) for face in floor.faces.tolist()}
@@ -64,7 +64,7 @@ def test_a_colour_is_unchanged_by_encoding_and_decoding():
 
 @pytest.mark.slow
 def test_a_floor_with_the_material_of_the_walls_does_not_change_the_light(mitsuba_renderer):
-    """Same paths, same light, up to the rounding of float32."""
+    """The paths and their light are the same, up to rounding of float32."""
     plain, split = (_rendered(mitsuba_renderer, floor) for floor in (None, WALLS))
     for name in ("white", "ambient", "white_rgb"):
         one, other = (getattr(r.radiance, name) for r in (plain, split))
@@ -103,7 +103,7 @@ def _rendered(renderer, floor, depth=4):
 
 
 def test_a_mottled_material_accepts_the_brightest_colour_of_a_fit():
-    """A mottle limits the colour of a material, and a step of the fit once ended with an error."""
+    """Symptom: a step of the fit raised an error, because mottle limits the colour."""
     blasted = material_preset("aluminium-blasted").material
     white = recolored(blasted, (0.98, 0.98, 0.98))
     assert (white.base_color, white.diffuse) == ((0.98, 0.98, 0.98), blasted.diffuse)

@@ -1,4 +1,4 @@
-"""Fitted values are written into a configuration; the rest of the user's text is kept."""
+"""Writing of fitted values into a configuration whose other text does not change."""
 
 import errno
 
@@ -74,7 +74,7 @@ def test_existing_files_and_folders_that_break_relative_paths_are_refused(tmp_pa
 
 
 def test_an_undetermined_pose_is_not_written(tmp_path):
-    """A floor is between two lost walls, and its ends are out of the picture."""
+    """Two walls have no depth, and the ends of the floor between them are missing, too."""
     T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
     lost = lambda p: (np.abs(p[..., 0]) > 0.15) | (p[..., 2] < -0.004)  # noqa: E731
     scans = [view(without(perfect_depth(T), T, lost))]
@@ -131,7 +131,7 @@ def test_a_file_that_appeared_meanwhile_is_not_overwritten(tmp_path, monkeypatch
     assert {path.name for path in tmp_path.iterdir()} == {"cell.yaml", "new.yaml"}
 
 
-# --- the keys that it writes -------------------------------------------------------------------
+# --- the written keys --------------------------------------------------------------------------
 
 
 def cell(**changes):
@@ -160,7 +160,7 @@ def test_a_configuration_with_a_pose_can_be_read_back_from_a_manifest():
 
 
 def test_a_surface_of_another_colour_keeps_its_roughness_map(tmp_path):
-    """Walls, floor and table have three maps; a floor without a section has that of the walls."""
+    """Walls, floor and table have different maps; a floor without a section has the walls' map."""
     T, box = pose(), open_box(BOX.inner_m)
     color = dict.fromkeys(("walls", "floor", "table"), (0.1, 0.2, 0.3))
     look = BinAppearance(reflectance=color, pixels={}, off=0.0, light_scale=None, exposure=1.0)

@@ -1,4 +1,4 @@
-"""Two photos of a part, 96 x 64 pixels, with COCO or LabelMe labels; and depth of a slope."""
+"""Writers of two photos of a part (96 x 64 pixels) with labels, and of depth of a slope."""
 
 import json
 from pathlib import Path
@@ -32,7 +32,7 @@ def write_pictures(folder: Path) -> None:
 
 
 def coco(segmentation=None) -> dict:
-    """Return the content of a COCO file of both pictures; each has one annotation."""
+    """Return the content of a COCO file for two pictures with one annotation each."""
     return {
         "images": [
             {"id": k, "file_name": f"{k:06d}.png", "width": W, "height": H} for k in range(2)
@@ -62,7 +62,7 @@ def write_labelme(folder: Path, shapes: list[dict]) -> Path:
 
 
 def write_depth(folder: Path, depth: np.ndarray, count=2) -> Path:
-    """Write the same depth as several pictures: whole numbers as PNG, others as NPY."""
+    """Write the same depth as several pictures: integers as PNG, floats as NPY."""
     (folder / "depth").mkdir(parents=True)
     for k in range(count):
         if depth.dtype.kind in "ui":

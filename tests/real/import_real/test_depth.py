@@ -1,4 +1,4 @@
-"""Depth of real cameras: missing values, one pixel far away, and lengths of rays."""
+"""Import of depth of real cameras: missing values, distant pixels, and ray lengths."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from .photos import H, K, W, slope_mm, write_depth
 
 
 def imported(folder, **options):
-    """Return the depth of the first picture as it is read back, and the notes of the import."""
+    """Import a folder; return the first depth map of the dataset, and the result."""
     out = folder.with_name(f"{folder.name}-out")
     files = {
         key: options.pop(key) for key in ("scale_m", "ray_length", "max_depth_m") if key in options
@@ -26,8 +26,8 @@ def imported(folder, **options):
 
 @pytest.mark.parametrize("pixels", [1, 200, 3000], ids=["one", "3 %", "half"])
 @pytest.mark.parametrize("kind", ["uint16", "int32", "float32"])
-def test_the_largest_number_of_a_type_is_no_distance_in_any_share_of_pixels(tmp_path, pixels, kind):
-    """65535 of 16 bits was a wall at 65.5 m if under 5 % of the pixels had it."""
+def test_the_largest_number_of_a_type_means_missing_depth(tmp_path, pixels, kind):
+    """Symptom: 65535 became a wall at 65.5 m if under 5 % of the pixels had this value."""
     depth = (slope_mm() / (1000 if kind == "float32" else 1)).astype(kind)
     limits = np.finfo(kind) if kind == "float32" else np.iinfo(kind)
     hole = np.zeros(depth.shape, bool)
@@ -49,7 +49,7 @@ def test_the_largest_number_of_a_type_is_no_distance_in_any_share_of_pixels(tmp_
 
 @pytest.mark.slow
 def test_a_single_distant_pixel_that_makes_all_steps_coarse_is_named(tmp_path):
-    """The step was 1 mm instead of 0.02 mm, without a message."""
+    """Symptom: the step was 1 mm instead of 0.02 mm, without a message."""
     rng = np.random.default_rng(1)
     depth_m = 1e-3 * slope_mm() + 1e-4 * rng.standard_normal((H, W))
     folder = write_depth(tmp_path / "scans", depth_m)
@@ -82,7 +82,7 @@ def test_a_deep_scene_has_coarse_steps_without_a_note(tmp_path):
 
 
 def tilted_plane_m():
-    """Return a tilted plane, 0.8 m from the camera, as z and as the length of each ray."""
+    """Return z and ray lengths of a tilted plane, 0.8 m from the camera."""
     y, x = np.mgrid[:H, :W]
     ray = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones((H, W))], -1)
     normal = np.array([0.2, -0.1, 1.0])
@@ -93,7 +93,7 @@ def tilted_plane_m():
 
 @pytest.mark.slow
 def test_lengths_of_rays_are_recognised_and_converted(tmp_path):
-    """Oracle: the distance of the point, and z of the same point."""
+    """Oracle: the distance and the z of the same points."""
     z_m, length_m = tilted_plane_m()
     assert np.abs(length_m - z_m).max() > 0.1
     _, done = imported(write_depth(tmp_path / "lengths", length_m))

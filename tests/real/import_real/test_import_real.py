@@ -1,4 +1,4 @@
-"""Import of real pictures: an exported simulation is imported again."""
+"""Import of real pictures, tested with the pictures of a simulated dataset."""
 
 import json
 import re
@@ -30,7 +30,7 @@ SCALE_M = SCALE_MM / 1e3
 
 @pytest.fixture(scope="session")
 def simulation(tmp_path_factory):
-    """Return a simulated dataset, its samples, and its scanner's view as real pictures."""
+    """Return a folder with a simulated dataset and its scanner's pictures, and the samples."""
     folder = tmp_path_factory.mktemp("made")
     samples = write_dataset(folder / "master", SCENES)
     export(folder / "master", folder / "coco", Options(format="coco", polygons=True))
@@ -80,7 +80,7 @@ def refusal(real, samples, **options):
 
 
 def labelme(real, samples, **changed):
-    """Write LabelMe files of squares around the visible parts instead of the COCO file."""
+    """Replace the COCO file with LabelMe files of rectangles around the visible parts."""
     shutil.rmtree(real / "annotations")
     (real / "annotations").mkdir()
     for scene_id, sample in samples.items():
@@ -101,7 +101,7 @@ def labelme(real, samples, **changed):
 
 
 def test_a_simulated_scan_imported_as_real_gives_the_same_examples(simulation, real, samples):
-    """Masks, boxes and scanner depth are equal to the last bit; unknown values are missing."""
+    """Pictures, masks, boxes and scanner depth are exactly equal; unknown values are missing."""
     out, done = imported(real, samples)
     assert done.categories == ("box", "wedge")
     assert done.holds == ("rgb", "gray_sl", "depth_sl", "masks")
@@ -210,7 +210,7 @@ def test_validate_detects_damage_of_the_import(real, samples, name):
 
 @pytest.mark.slow
 def test_all_readers_of_datasets_accept_an_import(real, samples):
-    """These are the measures of realism, and every export that needs no more data."""
+    """The readers are those of `real measure` and of each export that the data suffice for."""
     out, _ = imported(real, samples)
     scans = list(read_scans([out]))
     for scan, sample in zip(scans, samples.values(), strict=True):
@@ -233,7 +233,7 @@ def test_all_readers_of_datasets_accept_an_import(real, samples):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["npy", "tiff", "png", "ply"])
-def test_depth_of_every_kind_is_imported_to_half_a_step(simulation, real, samples, kind):
+def test_depth_of_every_file_format_is_imported_within_half_a_step(simulation, real, samples, kind):
     for scene_id in samples:
         steps = cv2.imread(str(real / "depth" / f"{scene_id:06d}.png"), cv2.IMREAD_UNCHANGED)
         depth_m = np.where(steps > 0, steps * SCALE_M, np.nan)
@@ -254,7 +254,7 @@ def test_depth_of_every_kind_is_imported_to_half_a_step(simulation, real, sample
         for path in sorted((real.parent / "clouds" / "train").glob("*.ply")):
             shutil.copy(path, real / "depth" / f"{path.stem[:6]}.ply")
         shutil.rmtree(real / "rgb")
-        options["K"] = None  # from the cloud, with its colours
+        options["K"] = None  # K and colours come from the cloud.
     out, done = imported(real, samples, **options)
     for example, sample in zip(open_examples(out), samples.values(), strict=True):
         np.testing.assert_array_equal(example.rgb, sample.rgb)
@@ -287,7 +287,7 @@ def test_labelme_rectangles_polygons_and_groups_become_masks(real, samples):
         mask = np.zeros((120, 160), dtype=bool)
         mask[y : y + h, x : x + w] = True
         if i == 0:
-            mask[:2, :3] = True  # This is the other shape of the group.
+            mask[:2, :3] = True  # the other shape of the group
         np.testing.assert_array_equal(example.mask[i], mask)
     assert validate(out) == ()
 
@@ -423,7 +423,7 @@ def test_unusable_labelme_files_are_reported(real, samples):
 
 
 def run(*words):
-    """Run a command as on the command line."""
+    """Run a command of the command line."""
     return main([*map(str, words), "--debug"])
 
 
@@ -455,7 +455,7 @@ def test_a_lens_with_distortion_is_kept_as_stated(real, samples, capsys):
 
 
 def test_a_picture_that_was_changed_after_the_import_is_detected(real, samples):
-    """It is a valid picture with unknown content: only its SHA-256 shows the change."""
+    """The changed picture is valid, so only its SHA-256 shows the change."""
     out, _ = imported(real, samples)
     path = out / "train" / "000000" / "rgb" / "000000.png"
     cv2.imwrite(str(path), cv2.imread(str(path)) // 2)

@@ -1,4 +1,4 @@
-"""Labels as tools and systems really write them: read with their meaning, or refused by name."""
+"""Import of labels as labelling tools write them, with their peculiarities and errors."""
 
 import base64
 import io
@@ -40,7 +40,7 @@ def refusal(folder):
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("ending", ["jpg", "png", "tif"])
 def test_pictures_that_are_stored_rotated_are_refused(tmp_path, orientation, ending):
-    """Labelling tools show them upright, so that masks would not be on the parts."""
+    """Labelling tools show such pictures upright, so masks would not be on the parts."""
     folder = write_coco(tmp_path / "photos", coco())
     exif = Image.Exif()
     exif[0x0112] = orientation
@@ -70,7 +70,7 @@ def test_outlines_slightly_beyond_the_picture_are_cut(tmp_path, polygon, rows, c
 
 
 def test_a_slanted_outline_is_cut_exactly_at_the_border(tmp_path):
-    """Oracle: the same outline three pixels farther inside, where nothing is cut."""
+    """Oracle: the same outline shifted by three pixels, where nothing is cut."""
     outline = np.array([[-2.3, -1.7], [50.2, 5.1], [31.4, 40.9]])
     cut, _ = imported(write_coco(tmp_path / "cut", coco([outline.ravel().tolist()])))
     whole, notes = imported(write_coco(tmp_path / "whole", coco([(outline + 3).ravel().tolist()])))
@@ -137,7 +137,7 @@ def test_unusable_labelme_masks_are_refused(tmp_path, shape, message):
 
 
 def test_a_repeated_mask_is_refused_in_both_formats(tmp_path):
-    """A polygon that starts at another corner is the same mask; another id does not matter."""
+    """A polygon that starts at another corner gives the same mask."""
     content = coco()
     content["annotations"].append(
         content["annotations"][0] | {"id": 9, "segmentation": [[*BOX[4:], *BOX[:4]]]}
@@ -166,7 +166,8 @@ def test_ambiguous_ids_and_names_are_refused(tmp_path, kind, entry, message):
     content[kind].append(entry | {"width": W, "height": H})
     folder = write_coco(tmp_path / "photos", content)
     assert message in refusal(folder)
-    with pytest.raises(DatasetError, match=re.escape(message)):  # as the reader for training does
+    # The reader for training gives the same error.
+    with pytest.raises(DatasetError, match=re.escape(message)):
         open_examples(folder / "annotations/instances.json")
 
 
@@ -192,7 +193,7 @@ def test_boxes_without_masks_are_refused(tmp_path):
 
 
 def test_an_import_into_a_folder_with_an_import_is_refused(tmp_path):
-    """So the pictures need not be compared with the existing ones."""
+    """An import is never continued, so existing pictures need no check."""
     folder = write_coco(tmp_path / "photos", coco())
     imported(folder)
     before = (tmp_path / "photos-out/graycast.json").read_bytes()

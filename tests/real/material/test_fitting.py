@@ -139,7 +139,7 @@ def test_light_that_fits_no_material_is_refused(cpu_device):
 def test_a_polished_metal_without_its_highlight_is_refused(cpu_device):
     """A lobe of 1 degree, and surfaces whose half angles begin at 6 degrees."""
     pixels = heap(4000, widest_rad=0.3, seed=3)
-    pixels = pixels.part(pixels.half_angle_rad > 0.105)
+    pixels = pixels.part(np.flatnonzero(pixels.half_angle_rad > 0.105))
     light = lit(pixels, surface("metal", 0.6, 0.13))
     with pytest.raises(GraycastError, match="no pixel shows the highlight"):
         fit_material(light, scale=SCALE, seed=0)

@@ -7,7 +7,7 @@ import pytest
 from stage import askew_rig, lambert, optics
 
 from graycast.camera.decode import CodeMap, Levels, Mark, Reason
-from graycast.real.material.observing import observe
+from graycast.real.material.observing import observe, observe_picture
 from graycast.rendering import Quality
 from graycast.rendering.reference import ReferenceRenderer
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Scene, Sphere
@@ -57,6 +57,20 @@ def test_the_light_of_a_matt_ball_is_its_reflectance_times_the_cosine(ball):
     ratio = observed.light[steep] / expected[steep]
     assert np.median(ratio) == pytest.approx(1, abs=0.01)
     assert np.abs(np.quantile(ratio, [0.05, 0.95]) - 1).max() < 0.06
+
+
+def test_a_picture_alone_gives_the_observations_of_a_stack_without_indirect_light(ball):
+    """The matt ball has no indirect light, so its white picture is its direct light."""
+    rig, depth_m, white = ball
+    inside = np.isfinite(depth_m)
+    clipped = np.zeros(white.shape, dtype=bool)
+    noise = np.full(white.shape, np.sqrt(2 * LEVELS.floor_dn2))
+    own = observe_picture(rig, depth_m, white, noise, inside=inside, clipped=clipped)
+    stack = observe(rig, codes_of(depth_m), depth_m, white, LEVELS)
+    for name in ("normal", "light", "sigma", "pixel", "to_projector"):
+        np.testing.assert_array_equal(getattr(own, name), getattr(stack, name))
+    dark = observe_picture(rig, depth_m, 0 * white, noise, inside=inside, clipped=clipped)
+    assert len(own) > 1000 and len(dark) == 0
 
 
 def test_doubling_the_exposure_does_not_change_the_measured_light(ball):

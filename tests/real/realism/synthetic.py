@@ -1,4 +1,4 @@
-"""Depth maps in closed form: planes, and plates in front of a wall with shadows."""
+"""Closed-form depth maps of planes, and of plates in front of a wall with shadows."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def rays(height_px=HEIGHT_PX, width_px=WIDTH_PX):
 
 
 def plane(tilt_rad=0.0, distance_m=0.5, height_px=HEIGHT_PX, width_px=WIDTH_PX):
-    """Return z of a plane through (0, 0, distance), its normal rotated by the tilt about y."""
+    """Return z of a plane through (0, 0, distance) that is rotated about y by the tilt."""
     normal = np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
     return distance_m * normal[2] / (rays(height_px, width_px) @ normal)
 
@@ -27,9 +27,9 @@ def scan(depth_m, **fields):
 
 
 def plates(projector_m, plate_m, wall_m=WALL_M):
-    """Return depth of plates (left, top, right, bottom, z) [m] before a wall, NaN where unlit.
+    """Return depth of plates (left, top, right, bottom, z) [m] in front of a wall; NaN in shadow.
 
-    A pixel is lit if the straight line from its point to the projector meets no plate.
+    A pixel is lit if the straight line from its point to the projector hits no plate.
     """
     ray = rays()
     depth_m = np.full(ray.shape[:2], wall_m)
@@ -47,7 +47,7 @@ def plates(projector_m, plate_m, wall_m=WALL_M):
 
 
 def scattered_plates(rng, count=10):
-    """Return plates in a loose grid, so that no shadow is on another plate."""
+    """Return plates so far apart that no shadow falls on another plate."""
     result = []
     for i in range(count):
         x, y = -0.4 + 0.2 * (i % 5), -0.22 + 0.3 * (i // 5)

@@ -1,4 +1,4 @@
-"""Fine noise: of known size on surfaces of known shape, by tiles and by pairs of maps."""
+"""Fine noise, from tiles and from pairs of maps, of known noise on known surfaces."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def record(*depth_m, **fields):
 
 
 def sphere(radius_m=0.25, middle_m=0.8):
-    """Return z of a ball in front of the camera, where the incidence is under about 50 degrees."""
+    """Return z of a sphere in front of the camera, up to an incidence of about 50 degrees."""
     ray = rays()
     unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
     along = unit[..., 2] * middle_m
@@ -26,7 +26,7 @@ def sphere(radius_m=0.25, middle_m=0.8):
 
 
 @pytest.mark.slow
-def test_the_estimate_of_white_noise_is_its_sigma_at_any_brightness_percentile():
+def test_the_median_fine_noise_of_white_noise_is_its_sigma():
     rng = np.random.default_rng(1)
     depth_m = plane(0.4) + SIGMA_M * rng.standard_normal((240, 320))
     fine = record(depth_m).fine
@@ -35,8 +35,8 @@ def test_the_estimate_of_white_noise_is_its_sigma_at_any_brightness_percentile()
     assert fine.rough < 0.03
 
 
-def test_the_median_of_a_tile_agrees_with_simulated_noise():
-    """Oracle: thirty thousand tiles of white noise, not a formula with their moments."""
+def test_the_ratio_of_median_to_mean_agrees_with_simulated_noise():
+    """Oracle: thirty thousand simulated tiles of white noise."""
     noise = np.random.default_rng(2).standard_normal((30_000, 8, 8))
     along = noise[:, :, :-2] - 2 * noise[:, :, 1:-1] + noise[:, :, 2:]
     mixed = (along[:, :-2] - 2 * along[:, 1:-1] + along[:, 2:]) / 6
@@ -91,7 +91,7 @@ def test_the_angle_of_incidence_is_between_ray_and_normal():
 
 
 def test_two_maps_of_a_scene_give_the_independent_noise_and_its_correlation():
-    """Shape and a fixed pattern cancel; the mean of two neighbours has a half at lag 1."""
+    """Shape and fixed pattern cancel; a mean of two neighbours has correlation 1/2 at lag 1."""
     rng = np.random.default_rng(8)
     fixed = plane(0.3) + 3e-4 * rng.standard_normal((240, 320))
 

@@ -1,4 +1,4 @@
-"""Missing pixels, the drop-out step and islands of known numbers."""
+"""Missing pixels, drop-out and islands in maps where their numbers are known."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def test_reasons_are_counted_for_missing_pixels_only():
     depth_m[:24] = np.nan
     depth_m[24:36] = np.nan
     reason = np.zeros(depth_m.shape, dtype=np.uint8)
-    reason[:24], reason[24:36], reason[36:] = 1, 7, 2  # 2 is ignored where depth is known
+    reason[:24], reason[24:36], reason[36:] = 1, 7, 2  # 2 has depth and must be ignored.
     figures = record(scan(depth_m, reason=reason, reason_names={1: "SHADOW", 2: "SATURATED"}))
     assert figures.missing.by_reason == {"shadow": 0.1, "reason 7": 0.05}
 
@@ -47,8 +47,8 @@ def test_the_drop_out_step_is_found_at_its_level_with_its_shares():
 
 
 @pytest.mark.slow
-def test_a_gradual_drop_out_has_its_width():
-    """The missing share falls linearly from 0.05 to 0.15: three quarters of it from 1 to 1/4."""
+def test_the_width_of_a_gradual_drop_out_is_measured():
+    """The missing share falls from 1 at a brightness of 0.05 to 0 at 0.15, linearly."""
     rng = np.random.default_rng(2)
     depth_m = plane(height_px=800, width_px=600)
     gray = rng.uniform(0, 0.3, depth_m.shape)
@@ -70,13 +70,13 @@ def test_missing_pixels_that_do_not_depend_on_brightness_show_no_drop_out_step()
 
 
 def test_islands_are_counted_up_to_ten_pixels():
-    """Holes in a plane and isolated specks, of 1 to 20 pixels, far from each other."""
+    """The map has holes in a plane and isolated specks of 1 to 20 pixels."""
     depth_m = np.concatenate([plane(), np.full_like(plane(), np.nan)])
     sizes = [1, 2, 5, 10, 11, 20]
     for i, size in enumerate(sizes):
         depth_m[20, 10 + 30 * i : 10 + 30 * i + size] = np.nan
         depth_m[300, 10 + 30 * i : 10 + 30 * i + size] = 0.5
-    depth_m[100, 100] = depth_m[101, 101] = np.nan  # one hole: corners connect
+    depth_m[100, 100] = depth_m[101, 101] = np.nan  # one hole, because pixels touch at a corner
     # These islands may continue beyond the border.
     depth_m[0, 5] = depth_m[60, 0] = depth_m[60, -1] = np.nan
     depth_m[-1, 5] = depth_m[400, 0] = depth_m[400, -1] = 0.5
@@ -86,7 +86,7 @@ def test_islands_are_counted_up_to_ten_pixels():
     assert islands.speck_share == pytest.approx((1 + 2 + 5 + 10) / depth_m.size)
 
 
-def test_an_array_that_is_no_depth_is_refused():
+def test_arrays_that_cannot_be_depth_are_refused():
     with pytest.raises(ValueError, match="write NaN"):
         scan(np.zeros((4, 4)))
     with pytest.raises(ValueError, match="0 to 1"):

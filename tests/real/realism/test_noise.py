@@ -1,4 +1,4 @@
-"""Noise of known size and correlation on known surfaces."""
+"""Noise about planes, of noise with known size and correlation on known surfaces."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ PATCHES = 20 * 28
 
 
 def noise_like(shape, rng, kernel=None):
-    """Return noise of variance one, correlated by a kernel."""
+    """Return noise of unit variance that is correlated by a kernel."""
     if kernel is None:
         return rng.standard_normal(shape)
     white = rng.standard_normal(np.add(shape, 20))
@@ -58,7 +58,7 @@ def test_the_scatter_between_patches_follows_a_chi_square_distribution():
     ids=["white", "3x3 box", "pairs along rows", "1 2 1 along columns", "5x5 box"],
 )
 def test_filtered_noise_has_the_autocorrelation_of_its_filter(kernel, rows, columns):
-    """Oracle: the kernel's autocorrelation in closed form. Uncorrected, a 3 x 3 box gives 0.62."""
+    """Oracle: the autocorrelation of the kernel. Without a correction, a 3 x 3 box gives 0.62."""
     record = pool([measure_scan(scan(noisy_plane(np.random.default_rng(3), kernel)))], name="plane")
     tolerance = 4 * np.sqrt(kernel.size**2 / kernel.size / np.prod(SIZE_PX)) + 1e-3
     assert record.autocorrelation.along_rows == pytest.approx(rows, abs=2 * tolerance)
@@ -69,14 +69,14 @@ def test_filtered_noise_has_the_autocorrelation_of_its_filter(kernel, rows, colu
 def test_correlated_noise_keeps_its_sigma_and_its_patches(side):
     noise = measure_noise(scan(noisy_plane(np.random.default_rng(4), np.ones((side, side)))))
     assert len(noise.sigma_m) >= 0.97 * noise.candidates
-    # A box of s x s has about 15^2 / s^2 independent values in a patch.
+    # With a box of s x s, a patch has about 15^2 / s^2 independent values.
     standard_error = np.sqrt(2 / (15**2 / side**2) / len(noise.sigma_m))
     assert abs((noise.sigma_m**2).mean() / SIGMA_M**2 - 1) < 4 * standard_error
 
 
 @pytest.mark.slow
 def test_flat_patches_are_taken_from_a_plane_and_not_from_a_sphere():
-    """A patch is curved by 15^2 px^2 z^2 / (8 f^2 R), here 0.7 mm, 3.5 sigma."""
+    """A patch on the sphere has a sagitta of (15 z / f)^2 / (8 R) = 1.3 mm, 6.5 sigma."""
     rng = np.random.default_rng(8)
     ray, radius_m, middle = rays(), 0.06, np.array([0.0, 0.0, 0.56])
     unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
@@ -94,7 +94,7 @@ def test_flat_patches_are_taken_from_a_plane_and_not_from_a_sphere():
 
 
 def test_patches_with_an_edge_are_left_out():
-    """Every 25th column has a step of 3 sigma: only patches of 15 between them are used."""
+    """Every 25 columns, there is a step of 4 sigma; only patches between the steps are used."""
     rng = np.random.default_rng(9)
     columns = np.arange(SIZE_PX[1])
     depth_m = noisy_plane(rng) + 4 * SIGMA_M * ((columns // 25) % 2)
@@ -120,7 +120,7 @@ def test_spikes_and_holes_do_not_spoil_a_patch():
 
 
 def test_the_correction_for_the_fit_is_exact_in_expectation():
-    """Oracle: covariances through the projection of the fit, with explicit matrices."""
+    """Oracle: the covariance of residuals, computed with explicit projection matrices."""
     y, x = np.divmod(np.arange(225), 15)
     design = np.stack([np.ones(225), x, y], axis=1).astype(float)
     left = np.eye(225) - design @ np.linalg.pinv(design)

@@ -1,4 +1,4 @@
-"""The same depth map from every kind of file, and errors about unreadable files."""
+"""Reading of the same depth map from every file format, and errors about unreadable files."""
 
 import json
 import subprocess
@@ -19,7 +19,7 @@ SCALE_M = 1e-4
 
 @pytest.fixture
 def depth_m():
-    """Return a tilted plane in steps of 0.1 mm with a hole."""
+    """Return the depth of a tilted plane with a hole, in steps of 0.1 mm."""
     depth_m = np.round(plane(0.3, height_px=30, width_px=40) / SCALE_M) * SCALE_M
     depth_m[5:9, 7:12] = np.nan
     return depth_m
@@ -87,7 +87,7 @@ def test_an_organised_ply_gives_depth_and_camera(tmp_path, depth_m, form):
     assert scan.gray is None
 
 
-def test_a_coloured_ply_gives_its_brightness(tmp_path, depth_m):
+def test_the_brightness_of_a_coloured_ply_is_read(tmp_path, depth_m):
     (tmp_path / "a.ply").write_bytes(ply(depth_m, "binary_little_endian", color=True))
     np.testing.assert_allclose(one(tmp_path / "a.ply", scale_m=1e-3).gray, 60 / 255)
 
@@ -124,7 +124,7 @@ def bop_scene(folder, depth_m, suffix=""):
 
 
 @pytest.mark.parametrize("level", ["", "train", "train/000003"])
-def test_a_dataset_of_graycast_gives_all_data(tmp_path, depth_m, level):
+def test_a_dataset_of_graycast_is_read_with_all_its_data(tmp_path, depth_m, level):
     scene = tmp_path / "train" / "000003"
     bop_scene(scene, depth_m, "_sl")
     bop_scene(scene, np.full((30, 40), 0.7))  # perfect depth, which must not be used
@@ -236,7 +236,7 @@ def test_an_unorganised_ply_is_refused_and_the_missing_data_are_named(tmp_path, 
 
 
 def test_a_ply_in_another_frame_gives_no_camera(tmp_path, depth_m):
-    """No camera sees points that are rotated by 20 degrees about y in their pixels."""
+    """Points are rotated by 20 degrees about y, so no camera projects them to their pixels."""
     path = tmp_path / "a.ply"
     data = ply(depth_m, "binary_little_endian")
     at = data.index(b"end_header\n") + len(b"end_header\n")
@@ -249,7 +249,7 @@ def test_a_ply_in_another_frame_gives_no_camera(tmp_path, depth_m):
 
 @pytest.mark.slow
 def test_a_picture_of_another_size_is_refused(tmp_path, depth_m):
-    """In a process of its own without checks of annotations, as for users."""
+    """A separate process has no checks of array annotations, as for users."""
     np.save(tmp_path / "a.npy", depth_m)
     np.save(tmp_path / "g.npy", np.zeros((3, 3)))
     call = (

@@ -1,4 +1,4 @@
-"""Jumps, flying pixels and the projector's position, from plates in front of a wall."""
+"""Depth jumps, flying pixels and the baseline, in maps of plates in front of a wall."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from graycast.real.realism.gaps import estimate_baseline, find_gaps
 
 from .synthetic import K, plane, plates, scan, scattered_plates
 
-# The side of the projector, its position, and the jumps that are then in shadow.
+# For each side of the projector: its position, and the direction of jumps that are in shadow.
 SIDES = {
     "right": ((0.2, 0.0, 0.0), "left_farther"),
     "left": ((-0.2, 0.0, 0.0), "right_farther"),
@@ -26,7 +26,7 @@ def baseline(scans):
 
 @pytest.mark.parametrize("side", SIDES)
 def test_depth_jumps_are_on_every_side_except_the_side_of_the_shadow(side):
-    """One plate has as many jumps as rows or columns, and none into its shadow."""
+    """A plate has a jump in each row or column, except on the side of its shadow."""
     projector_m, shadowed = SIDES[side]
     depth_m = plates(projector_m, [(-0.1, -0.1, 0.12, 0.08, 0.9)])
     counts = count_steps(scan(depth_m))
@@ -40,7 +40,7 @@ def test_depth_jumps_are_on_every_side_except_the_side_of_the_shadow(side):
 
 @pytest.mark.parametrize("side", SIDES)
 def test_the_width_of_a_gap_follows_its_formula(side):
-    """w = f b (1/z_near - 1/z_far), to the pixel of the rounding of both rims."""
+    """The width is f b (1/z_near - 1/z_far), up to a pixel of rounding at the rims."""
     projector_m, _ = SIDES[side]
     gaps = find_gaps(scan(plates(projector_m, [(-0.1, -0.1, 0.12, 0.08, 0.9)])))
     rims = gaps[0] if side in ("right", "left") else gaps[1]
@@ -70,7 +70,7 @@ def test_shadows_show_the_side_and_length_of_the_baseline(side, forward_m):
 
 
 def test_rims_removed_by_a_filter_do_not_change_the_baseline():
-    """Every gap is two pixels wider on both sides: uncorrected, this is 20 to 40 % too much."""
+    """Gaps are two pixels wider on both sides, so the plain baseline is 20 to 40 % too long."""
     rng = np.random.default_rng(2)
     scans = []
     for _ in range(6):
@@ -86,9 +86,10 @@ def test_rims_removed_by_a_filter_do_not_change_the_baseline():
     assert estimate.plain_m > 1.15 * 0.2
 
 
-def test_random_holes_are_no_evidence_of_a_projector():
+def test_random_holes_give_no_estimate_of_the_baseline():
     rng = np.random.default_rng(3)
-    depth_m = plates((0.0, 0.0, 0.0), scattered_plates(rng))  # light from the camera: no shadow
+    # A projector at the camera casts no visible shadow.
+    depth_m = plates((0.0, 0.0, 0.0), scattered_plates(rng))
     assert not np.isnan(depth_m).any()
     for _ in range(400):
         y, x, n = *rng.integers(0, (230, 290)), rng.integers(5, 30)
@@ -97,7 +98,7 @@ def test_random_holes_are_no_evidence_of_a_projector():
 
 
 def test_flying_pixels_are_counted_individually():
-    """Every second row of a plate's right rim has a pixel between plate and wall."""
+    """In every second row, the rim of a plate has a pixel between plate and wall."""
     depth_m = plates((-0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     clean = count_steps(scan(depth_m))
     y, x = np.nonzero(depth_m == 0.8)
@@ -152,7 +153,7 @@ def test_a_mirrored_map_has_mirrored_jumps():
 
 
 def test_an_outlier_beyond_the_two_surfaces_is_not_a_flying_pixel():
-    """It is wrong, but not between them: islands and outliers count it."""
+    """The outlier is wrong, but it is not between the surfaces."""
     depth_m = plates((-0.2, 0.0, 0.0), [(-0.1, -0.1, 0.12, 0.08, 0.8)])
     y, x = np.nonzero(depth_m == 0.8)
     rows = np.arange(y.min() + 4, y.max() - 4, 4)
@@ -163,9 +164,9 @@ def test_an_outlier_beyond_the_two_surfaces_is_not_a_flying_pixel():
 
 @pytest.mark.parametrize("filled", [0.04, 0.1, 0.5])
 def test_a_map_of_isolated_pixels_causes_no_numerical_warning(filled):
-    """Seven valid pixels at the end of a row and the start of the next are no run.
+    """Valid pixels at the end of a row and at the start of the next row must not be combined.
 
-    Oracle: each row alone, which no run can leave.
+    Oracle: each row alone.
     """
     rng = np.random.default_rng(5)
     depth_m = np.where(rng.random((60, 24)) < filled, rng.choice([0.8, 0.7], (60, 24)), np.nan)

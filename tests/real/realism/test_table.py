@@ -1,4 +1,4 @@
-"""Records of realism: pooled, saved, printed and drawn."""
+"""Records of the statistics of depth maps: combination, files, table and plots."""
 
 import cv2
 import numpy as np
@@ -27,7 +27,7 @@ def record():
     return pool([measure_scan(noisy_scan(seed)) for seed in range(3)], name="three")
 
 
-def test_a_set_of_equal_maps_has_the_figures_of_one_map():
+def test_a_set_of_equal_maps_has_the_statistics_of_one_map():
     one = measure_scan(noisy_scan(1))
     single, triple = pool([one], name="x"), pool([one] * 3, name="x")
     counted = {"scans", "pixels", "noise", "fine", "missing", "autocorrelation", "baseline"}
@@ -57,7 +57,7 @@ def test_an_empty_set_of_depth_maps_is_refused():
         pool([], name="nothing")
 
 
-def test_the_table_has_the_figures_in_readable_units(record):
+def test_the_table_has_the_statistics_in_readable_units(record):
     lines = {line[:45].strip(): line[45:].strip() for line in table(record).splitlines()}
     text = "\n".join(table(record).splitlines())
     assert f"{1e3 * record.noise.percentiles_m[2]:.4f} mm" in text
@@ -80,8 +80,8 @@ def test_two_sets_are_side_by_side_with_a_dash_for_a_missing_figure(record):
 
 
 @pytest.mark.slow
-def test_the_plots_show_the_figures_of_each_record(tmp_path, record):
-    """Oracle: the record itself, in the units of the axes."""
+def test_the_plots_show_the_statistics_of_each_record(tmp_path, record):
+    """Oracle: the values of the record, in the units of the axes."""
     other = record.model_copy(update={"name": "other", "jumps": Jumps(**dict.fromkeys(SIDES, 7.0))})
     with figures_of(depth_curves) as figures:
         draw_realism([record, other], tmp_path / "two.png")
@@ -111,7 +111,7 @@ def test_the_plots_show_each_record_in_its_colour(tmp_path, record):
     draw_realism([record], tmp_path / "one.png")
     draw_realism([record, record.model_copy(update={"name": "other"})], tmp_path / "two.png")
     one, two = (cv2.imread(str(tmp_path / f"{n}.png")) for n in ("one", "two"))
-    orange = np.array([14, 127, 255])  # C1, in OpenCV's order
+    orange = np.array([14, 127, 255])  # colour of the second record, as blue, green, red
     assert not (one == orange).all(axis=-1).any()
     assert (two == orange).all(axis=-1).sum() > 1000
 

@@ -1,4 +1,4 @@
-"""The two-sample test: sets of one law are alike, and sets of two laws are distinguished."""
+"""The two-sample test distinguishes sets of depth maps only if their sensors differ."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ SIZE = {"height_px": 160, "width_px": 192}
 
 @pytest.fixture(autouse=True)
 def few_trees(monkeypatch):
-    """Use a tenth of the trees, since the differences of these sets are clear."""
+    """Use a tenth of the trees, because the differences between these sets are clear."""
     monkeypatch.setattr(two_sample, "_TREES", 20)
 
 
@@ -37,7 +37,7 @@ def maps(count, seed, *, sigma_m=2e-4, smoothed=False, drop=0.0, step_m=0.0):
 
 @pytest.mark.slow
 def test_sets_from_the_same_distribution_cannot_be_distinguished():
-    """Their AUC is near a half for every group and classifier."""
+    """The AUC is near 0.5 for smooth squares and for the floor."""
     a, b = (cut_squares(maps(4, seed)) for seed in (1, 2))
     for place in ("smooth", "floor"):
         assert sensor_auc(a, b, place, seed=0) == pytest.approx(0.5, abs=0.1)
@@ -52,7 +52,7 @@ def test_sets_from_the_same_distribution_cannot_be_distinguished():
     ],
 )
 def test_sets_that_differ_in_the_sensor_are_distinguished(change, feature):
-    """Oracle: SciPy's U of Mann and Whitney counts the pairs that the feature alone orders."""
+    """Oracle: SciPy's Mann-Whitney U gives the AUC of the changed feature alone."""
     first, second = maps(3, 1), maps(3, 2, **change)
     test = two_sample_test(first, second, names=("a", "b"), seed=0)
     assert test.auc["floor"].mean > 0.95
@@ -63,7 +63,7 @@ def test_sets_that_differ_in_the_sensor_are_distinguished(change, feature):
 
 @pytest.mark.slow
 def test_sets_cannot_be_distinguished_by_the_direction_of_a_slope():
-    """The features are blind to shape: the same noise on planes that lean to opposite sides."""
+    """Features do not depend on shape: the noise is the same on planes with opposite slopes."""
     first, second = maps(3, 1), [scan(one.depth_m[:, ::-1].copy()) for one in maps(3, 2)]
     test = two_sample_test(first, second, names=("a", "b"), seed=0)
     assert test.auc["floor"].mean == pytest.approx(0.5, abs=0.12)
@@ -91,7 +91,7 @@ def test_the_same_seed_gives_the_same_table():
 @pytest.mark.slow
 def test_coarse_steps_of_files_do_not_distinguish_two_sets(monkeypatch):
     """Both sets are rounded to the coarser step first."""
-    monkeypatch.setattr(patches, "_DRAWS", 200)  # only the floor exists
+    monkeypatch.setattr(patches, "_DRAWS", 200)  # The floor is the only plane.
     step_m = 1e-4
     first, second = maps(3, 1, step_m=step_m), maps(3, 2)
     assert depth_step_m(first) == pytest.approx(step_m)
@@ -101,7 +101,7 @@ def test_coarse_steps_of_files_do_not_distinguish_two_sets(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_estimated_floor_agrees_with_the_true_plane():
+def test_the_estimated_floor_agrees_with_the_true_floor():
     tilt_rad, distance_m = 0.3, 0.5
     depth_m = [one.depth_m.copy() for one in maps(2, 1)]
     for one in depth_m:
@@ -115,9 +115,9 @@ def test_the_estimated_floor_agrees_with_the_true_plane():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *map(slow, range(1, 6))])
 def test_a_floor_that_covers_an_eighth_of_the_depth_is_found(seed):
-    """The rest are randomly tilted boxes, each smaller than the visible floor.
+    """The rest are randomly tilted planes, each smaller than the visible floor.
 
-    Three random pixels are all on the floor once in 512 draws.
+    Three random pixels are all on the floor once in 512 samples.
     """
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:240, :300]
@@ -145,7 +145,7 @@ def test_second_differences_do_not_depend_on_curvature():
     assert patches.third_difference(white).std() == pytest.approx(1.0, rel=0.02)
 
 
-def test_a_set_of_one_map_and_a_missing_package_are_refused(monkeypatch):
+def test_single_maps_and_a_missing_package_are_refused(monkeypatch):
     with pytest.raises(
         GraycastError, match="depth map: give at least two, because the test leaves out each map"
     ):

@@ -1,4 +1,4 @@
-"""A cube in front of a wall in BOP's form, written by hand; its depth is from `rig/meshdepth`."""
+"""Writers of a BOP scene with a cube in front of a wall; `rig/meshdepth` gives the depth."""
 
 import json
 
@@ -21,7 +21,7 @@ def corners(side):
 
 
 def cube_ply(side=SIDE_MM, colors=None, faces=FACES):
-    """Return an ASCII PLY of a cube; the vertices have colours if these are given."""
+    """Return an ASCII PLY of a cube, with vertex colours if `colors` is given."""
     vertices = corners(side)
     rgb = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
     head = (
@@ -36,7 +36,7 @@ def cube_ply(side=SIDE_MM, colors=None, faces=FACES):
 
 
 def true_depth_m():
-    """Return the depth of the cube's surface, and of a wall behind it."""
+    """Return the depth of the cube in front of the wall."""
     vertices_m = transform_points(POSE, corners(SIDE_MM / 1e3))
     z_m = visible_surface(np.eye(4), vertices_m, FACES, CAMERA)[1]
     return np.where(np.isnan(z_m), WALL_M, z_m)
@@ -61,7 +61,7 @@ def gt_of(T_cam_part, obj_id=1):
 
 
 def write_scene(scene, sensor="", images=(0,), rgb=None):
-    """Write the files of a scene like BlenderProc's writer; the colour picture may be a JPEG."""
+    """Write the files of a scene like BlenderProc's writer, with a colour picture as JPEG."""
     end = f"_{sensor}" if sensor else ""
     view = {"cam_K": CAMERA.K.ravel().tolist(), "depth_scale": SCALE_MM}
     view |= {"cam_R_w2c": np.eye(3).ravel().tolist(), "cam_t_w2c": [0.0, 0.0, 0.0]}

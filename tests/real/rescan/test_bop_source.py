@@ -1,4 +1,4 @@
-"""Datasets in BOP's form: a cube of known pose is read, and faults are refused."""
+"""Reading of datasets in BOP's form: a cube of known pose, and files with errors."""
 
 import json
 import pickle
@@ -37,7 +37,7 @@ def opened(path, **options):
 
 
 def change(path, **entry):
-    """Change keys of the first image, or of its first instance; None removes a key."""
+    """Change keys of image 0, or of its first instance; None removes a key."""
     content = json.loads(path.read_text())
     first = content["0"][0] if isinstance(content["0"], list) else content["0"]
     for key, value in entry.items():
@@ -48,7 +48,7 @@ def change(path, **entry):
 
 
 def refusal(path, *words, **options):
-    """Check that opening and reading give an error of one line with this text."""
+    """Check that opening and reading give an error of one line with these words; return it."""
     with pytest.raises(DatasetError) as caught:
         source = opened(path, **options)
         for scene_id, image_id in source.images:
@@ -89,7 +89,7 @@ def test_parts_of_a_dataset_of_graycast_keep_their_names(tmp_path):
 
 
 def test_the_reader_for_training_reads_the_same_depth_and_poses(tmp_path):
-    """Oracle: the reader for training, which shares no code from the files to arrays."""
+    """Oracle: the reader for training, which shares no code for depth and poses."""
     split = write_dataset(tmp_path, rgb=np.zeros((48, 64, 3), np.uint8))
     scene = split / "000000"
     infos = [{"px_count_visib": 9, "visib_fract": 1.0}]
@@ -132,7 +132,7 @@ def test_grey_pictures_have_three_equal_bands(tmp_path):
     rgb = opened(split).read(0, 0).rgb
     assert (rgb == (level // 256)[..., None]).all()
     png(split / "000000/rgb/000000.png", np.full((48, 64, 3), (1, 2, 3), np.uint8))
-    assert (opened(split).read(0, 0).rgb == (3, 2, 1)).all()  # colours are preferred
+    assert (opened(split).read(0, 0).rgb == (3, 2, 1)).all()  # Colours are preferred.
 
 
 def test_depth_in_tiff_floats_is_scaled_and_may_have_unknown_pixels(tmp_path):
@@ -159,7 +159,7 @@ def test_a_sensor_is_selected_by_name(tmp_path):
     scene = tmp_path / "val/000003"
     write_scene(scene, "photoneo")
     write_scene(scene, "cam1")
-    write_scene(scene, "sl")  # the depth of our scanner is no sensor
+    write_scene(scene, "sl")  # The files of our scanner are not those of another sensor.
     (scene / "aolp_cam1").mkdir()
     write_models(tmp_path / "models")
     change(scene / "scene_gt_cam1.json", cam_t_m2c=[0.0, 0.0, 700.0])
@@ -282,7 +282,7 @@ def test_damaged_and_missing_files_are_named(tmp_path):
     assert opened(split, depth_only=True).read(0, 0).depth_m.shape == (48, 64)
 
 
-def test_a_folder_that_is_no_split_is_refused(tmp_path):
+def test_folders_that_are_not_a_split_are_refused(tmp_path):
     split = write_dataset(tmp_path)
     refusal(tmp_path / "models", "no scenes", "lm/train_pbr")
     write_json(split / "000000/scene_camera.json", {})
@@ -294,7 +294,7 @@ def test_a_folder_that_is_no_split_is_refused(tmp_path):
 
 @pytest.mark.parametrize("none", [0, 65535])
 def test_a_depth_of_zero_or_of_the_largest_number_is_unknown(tmp_path, none):
-    """65535 was a wall at 6.55 m."""
+    """Symptom: 65535 became a wall at 6.55 m."""
     split = write_dataset(tmp_path)
     steps = np.full((48, 64), 5000, np.uint16)
     steps[:, 0] = none
@@ -317,13 +317,13 @@ def test_pictures_whose_names_have_another_number_of_digits_are_read(tmp_path, n
     image = opened(split).read(0, 0)
     np.testing.assert_array_equal(image.depth_m, expected)
     assert image.step_m == SCALE_MM / 1e3
-    if name[:6] != "000000":  # BOP's own name is preferred to all others
+    if name[:6] != "000000":  # BOP's own name is preferred to other names.
         png(folder / "00.png", steps)
         refusal(split, "are both image 0")
 
 
 def test_lengths_of_rays_are_converted_to_z(tmp_path):
-    """Oracle: the distance of each point from the camera; BlenderProc writes it as `distance`."""
+    """Oracle: the distance of each point from the camera, which BlenderProc calls `distance`."""
     split = write_dataset(tmp_path)
     z_m = opened(split).read(0, 0).depth_m
     length_m = np.linalg.norm(points(CAMERA, z_m), axis=-1)
@@ -337,7 +337,7 @@ def test_lengths_of_rays_are_converted_to_z(tmp_path):
 
 
 def test_the_cube_of_these_tests_is_at_its_stated_pose():
-    """Check of the test itself: the centre of the cube projects into the cube's depth."""
+    """The test data are consistent: at the projected centre of the cube, depth is the cube's."""
     x, y, z = POSE[:3, 3]
     column = round(CAMERA.fx_px * x / z + CAMERA.cx_px)
     row = round(CAMERA.fy_px * y / z + CAMERA.cy_px)

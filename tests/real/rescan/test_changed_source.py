@@ -1,4 +1,4 @@
-"""A rescan continues only with the options and the images that it began with."""
+"""A rescan continues only with the same options and unchanged images."""
 
 import json
 import shutil
@@ -28,7 +28,7 @@ K = "90,91,31,24.5"
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
-    """Return a dataset of two images, and the rescan of it."""
+    """Return a folder with a dataset of two images and its rescan."""
     root = tmp_path_factory.mktemp("original")
     split = write_dataset(root / "lm", images=(0, 4), rgb=np.full((48, 64, 3), 150, np.uint8))
     rescan(open_source(split), RIG, root / "out", SPEC)
@@ -37,7 +37,7 @@ def original(tmp_path_factory):
 
 @pytest.fixture
 def root(original, tmp_path):
-    """Copy both; the rescan links to the copy of the dataset and records this."""
+    """Copy dataset and rescan, so that the rescan links to the copy and names it as its source."""
     shutil.copytree(original, tmp_path, symlinks=True, dirs_exist_ok=True)
     for link in [path for path in tmp_path.rglob("*") if path.is_symlink()]:
         place = tmp_path / link.readlink().relative_to(original)
@@ -120,7 +120,7 @@ def test_the_claim_depends_on_the_intrinsics_but_not_on_their_file_name(original
 
 
 def test_the_claim_of_a_source_changes_with_a_stated_look(original):
-    """The grey of an object without a look is replaced by the mean colour of the pictures."""
+    """An object without a stated look gets the mean colour of the pictures, another object not."""
     source = open_source(original / "lm/train_pbr")
     assert source.plain == {1}
     stated = replace(source, plain=frozenset())
@@ -144,7 +144,7 @@ def test_a_newly_added_option_is_in_the_claim():
 
 
 def test_a_rescan_is_not_continued_with_another_depth_scale(root):
-    """This was once allowed, and validate called the mixture valid."""
+    """Symptom: the rescan was continued, and `validate` accepted the mixture."""
     words = r"differs in config\.options\.depth_scale_mm \(null there, 0\.2 here\)"
     with pytest.raises(DatasetError, match=words):
         again(root, depth_scale_mm=0.2)
@@ -183,7 +183,7 @@ CHANGES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_changed_image_is_named(root, name):
-    """The links would show the new original next to the scanner's old depth."""
+    """Otherwise, the links would show the new original next to depth of the old one."""
     assert again(root).there == 2
     CHANGES[name](root / "lm/train_pbr/000000")
     words = (
@@ -229,7 +229,7 @@ def test_a_moved_dataset_can_be_continued_if_its_old_path_links_to_it(root):
 
 
 def test_poses_are_compared_if_a_record_has_no_checksums(root):
-    """Records of earlier versions have none."""
+    """Records of earlier versions have no checksums."""
     scene = root / "out/train_pbr/000000"
     for path in (scene / "scan_sl").iterdir():
         record = json.loads(path.read_text())
@@ -275,7 +275,7 @@ GONE = "the original in {} is gone: put it back, or link it there (graycast resc
 
 
 def test_links_to_missing_files_are_named(root):
-    """Validate once called such a rescan valid, and readers silently gave no picture."""
+    """Symptom: `validate` accepted such a rescan, and readers silently gave no picture."""
     scene = root / "lm/train_pbr/000000"
     (root / "lm").rename(root / "moved")
     for fast in (True, False):
@@ -309,7 +309,7 @@ def test_a_rescan_with_copies_replaces_existing_links(root):
 
 
 def test_a_dead_link_is_replaced_by_a_valid_link(root):
-    """The folder of the original exists again, and the link of an earlier run is dead."""
+    """The original exists, but the link of an earlier run points to another place."""
     link = root / "out/train_pbr/000000/rgb"
     link.unlink()
     link.symlink_to(root / "nowhere/rgb")

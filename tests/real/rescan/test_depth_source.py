@@ -1,4 +1,4 @@
-"""Folders of depth only, and recognition of a folder's layout."""
+"""Reading of folders with only depth, and recognition of a folder's layout."""
 
 import json
 import pickle

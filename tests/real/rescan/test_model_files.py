@@ -1,4 +1,4 @@
-"""Foreign models as parts: their colours, units and materials."""
+"""Reading of third-party models as parts: colours, units and materials."""
 
 import cv2
 import numpy as np
@@ -46,7 +46,7 @@ def refusal(folder, *words, error=DatasetError, **options):
 
 
 def texels_at(material, corner_uv):
-    """Return the nearest pixels of a texture whose v increases upwards."""
+    """Return the nearest texture pixels, and their offsets in x; v increases upwards."""
     h, w = material.texture.shape[:2]
     column = np.floor(corner_uv[..., 0] * w).astype(int)
     row = np.floor((1 - corner_uv[..., 1]) * h).astype(int)
@@ -54,7 +54,7 @@ def texels_at(material, corner_uv):
 
 
 def test_colours_of_vertices_become_one_colour_per_face(tmp_path):
-    """Oracle: the mean of the three vertices' colours, face by face, matched by position."""
+    """Oracle: the mean colour of the three vertices of each face, matched by position."""
     colors = np.random.default_rng(0).integers(0, 256, (8, 3))
     write_models(tmp_path, colors=colors)
     models = read(tmp_path)
@@ -83,7 +83,7 @@ def test_a_texture_is_kept_with_its_coordinates(tmp_path):
 
 @pytest.mark.parametrize("name", ["toothpaste", "metal_workpiece_1", "metal_workpiece_2"])
 def test_models_written_by_graycast_are_read_back(tmp_path, name):
-    """Oracle: the part that was written: shape, print and symmetries."""
+    """Oracle: shape, texture and symmetries of the part that was written."""
     part = builtin_part(name)
     for file, content in model_files((part,)).items():
         (tmp_path / file).write_bytes(content)
@@ -98,7 +98,7 @@ def test_models_written_by_graycast_are_read_back(tmp_path, name):
         assert np.allclose(line, line_back, atol=1e-9)
 
 
-def test_an_open_mesh_has_normals_and_no_look(tmp_path):
+def test_an_open_mesh_has_normals_and_no_material(tmp_path):
     write_models(tmp_path, faces=FACES[:-2])
     models = read(tmp_path)
     mesh = models.parts[1].mesh
@@ -141,7 +141,7 @@ def test_a_model_in_another_unit_is_converted_if_its_diameter_shows_the_unit(tmp
 
 
 def test_a_dataset_in_metres_is_converted_with_its_symmetries(tmp_path):
-    """Its cube of 0.06 was read as 0.06 mm, because the diameter agrees."""
+    """Symptom: a cube of 0.06 was read as 0.06 mm, because the diameter agreed."""
     half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     half_turn[0, 3] = 0.02
     axis = {"axis": [0, 0, 1], "offset": [0.01, 0, 0]}

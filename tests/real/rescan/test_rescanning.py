@@ -1,4 +1,4 @@
-"""A foreign dataset gets scanner depth next to its own data, once and reproducibly."""
+"""Rescans add simulated scanner depth to third-party datasets, reproducibly."""
 
 import errno
 import hashlib
@@ -56,14 +56,14 @@ def spec(**words):
 
 
 def tree(folder):
-    """Return every file below a folder, with links followed, and its digest."""
+    """Return the digest of every file below a folder; links are followed."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    """Return two scenes of two images and one image, the original, and the rescan of it."""
+    """Make a dataset with scenes of two images and one image, and its rescan."""
     root = tmp_path_factory.mktemp("rescan")
     rgb = np.full((48, 64, 3), 150, dtype=np.uint8)
     split = write_dataset(root / "lm", images=(0, 4), rgb=rgb)
@@ -95,7 +95,7 @@ def test_a_rescan_measures_the_depth_of_the_original(dataset):
 
 
 def test_shares_of_the_pixels_on_parts_agree_with_the_masks(dataset):
-    """Oracle: a count in the written pictures."""
+    """Oracle: counts of pixels in the written pictures."""
     root, _, summary = dataset
     own_pixels = []
     for scene, image in ((0, 0), (0, 4), (2, 1)):
@@ -118,7 +118,7 @@ def test_shares_of_the_pixels_on_parts_agree_with_the_masks(dataset):
 
 @pytest.mark.slow
 def test_pixels_that_the_projector_cannot_light_have_their_own_reason(tmp_path):
-    """Oracle: pinholes. The whole ray is beyond one side of the projector's picture."""
+    """Oracle: with pinholes, the whole ray of such a pixel is outside the projector's picture."""
     own = RIG.rig.projector
     narrow = replace(own, fx_px=3 * own.fx_px, fy_px=3 * own.fy_px)
     scanner = replace(RIG, rig=replace(RIG.rig, projector=narrow))
@@ -135,7 +135,8 @@ def test_pixels_that_the_projector_cannot_light_have_their_own_reason(tmp_path):
         sides.append(np.array([u < -1, u > narrow.width_px, v < -1, v > narrow.height_px]))
     beside = np.all(sides, axis=0).any(axis=0).reshape(x.shape)
     assert 50 < beside.sum() < 0.9 * beside.size
-    assert np.mean(reason[beside] == Reason.OUTSIDE_PROJECTOR) > 0.97  # stray light has codes
+    # Indirect light may give a code to pixels that the projector does not light.
+    assert np.mean(reason[beside] == Reason.OUTSIDE_PROJECTOR) > 0.97
 
 
 def test_the_noise_of_a_rescan_differs_from_that_of_a_dataset_and_of_another_rig(dataset):
@@ -184,7 +185,7 @@ def test_the_reader_for_training_reads_true_and_rescanned_depth(dataset):
 
 @pytest.mark.slow
 def test_one_of_several_cameras_is_rescanned_and_read_for_training(tmp_path):
-    """All file names contain the name of a camera, as in the dataset IPD."""
+    """The names of all files end in the name of a camera, as in the dataset IPD."""
     split = write_dataset(tmp_path / "ipd", sensor="photoneo")
     write_scene(split / "000000", sensor="cam1")
     source = open_source(split, SourceOptions(sensor="photoneo"))
@@ -237,7 +238,7 @@ def test_images_that_cannot_be_scanned_are_set_aside(tmp_path):
     listed = json.loads((tmp_path / "out/set_aside.json").read_text())
     assert list(listed) == ["000000/000001", "000000/000002"]
     assert "measures from 0.458 to 1.12 m: choose another rig" in listed["000000/000002"]["reason"]
-    rescan(open_source(split), RIG, tmp_path / "out", spec(images=1))  # tries none of them
+    rescan(open_source(split), RIG, tmp_path / "out", spec(images=1))  # It tries neither of them.
     assert json.loads((tmp_path / "out/set_aside.json").read_text()) == listed
     assert validate(tmp_path / "out") == ()
     write_json(scene / "scene_gt.json", gt)
@@ -249,7 +250,7 @@ def test_images_that_cannot_be_scanned_are_set_aside(tmp_path):
 
 @pytest.mark.slow
 def test_an_image_whose_device_is_lost_is_tried_three_times(tmp_path, monkeypatch):
-    """A rescan used to end at the first error of its device."""
+    """Symptom: a rescan ended at the first error of its device."""
     split, real, tries = write_dataset(tmp_path / "lm"), ImageScanner.make, []
 
     def make(self, scene_id):
@@ -319,7 +320,7 @@ def test_a_rescan_does_not_write_to_the_original(tmp_path):
 
 @pytest.mark.slow
 def test_depth_without_models_becomes_a_dataset_in_bop_format(tmp_path):
-    """The rig's own camera scans, and files are copied, so the result has no links to the input."""
+    """The camera of the rig is used, and files are copied, so that the result has no links."""
     (tmp_path / "in/depth").mkdir(parents=True)
     np.save(tmp_path / "in/depth/a.npy", true_depth_m().astype(np.float32))
     K = ",".join(str(v) for v in (CAMERA.fx_px, CAMERA.fy_px, CAMERA.cx_px, CAMERA.cy_px))
@@ -337,7 +338,7 @@ def test_depth_without_models_becomes_a_dataset_in_bop_format(tmp_path):
     depth_m, view = scanned(scene, 0)
     assert depth_m.shape == (129, 172)
     assert view["cam_K"] == pytest.approx(rig.rig.camera.K.ravel())
-    assert np.isfinite(depth_m).mean() > 0.2  # the image shows less than the rig's camera
+    assert np.isfinite(depth_m).mean() > 0.2  # The rig's camera sees more than the image shows.
     assert validate(tmp_path / "out") == ()
     assert open_foreign(tmp_path / "out/depth").read(0).scanner_depth_m.shape == (129, 172)
 
@@ -385,7 +386,7 @@ def test_validate_detects_changed_files(dataset, tmp_path, file, damage, words):
 
 
 def sealed_again(scene):
-    """Write all checksums and JSON files of a scene again, as a forger with the format would."""
+    """Recompute all checksums and JSON files of a scene, so that only its data are wrong."""
     for path in (scene / "scan_sl").iterdir():
         record = json.loads(path.read_text())
         sums = {
@@ -501,7 +502,7 @@ def test_validate_detects_depth_of_another_scene(dataset, tmp_path):
 
 @pytest.mark.slow
 def test_a_rescan_of_ray_lengths_stores_z(tmp_path):
-    """Its depth is its own file: a link to the original would give lengths."""
+    """The result has its own depth file, because a link to the original would give lengths."""
     split = write_dataset(tmp_path / "lm")
     length_m = np.linalg.norm(points(CAMERA, true_depth_m()), axis=-1)
     path = split / "000000/depth/000000.png"

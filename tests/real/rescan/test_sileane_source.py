@@ -1,4 +1,4 @@
-"""Layouts of Siléane and IPA, with files written by their descriptions."""
+"""Reading of the Siléane and IPA layouts, with files written from their descriptions."""
 
 import json
 import pickle
@@ -37,7 +37,7 @@ def refusal(folder, *words, **options):
 
 
 def check(image):
-    """Check that the cube is at the pose of `scene_files`."""
+    """Check depth and pose of the cube of `scene_files`."""
     assert np.isnan(image.depth_m[0, 0])
     assert np.nanmax(np.abs(image.depth_m - true_depth_m())) <= 0.51 * STEP_M
     assert image.step_m == pytest.approx(STEP_M)
@@ -49,7 +49,7 @@ def check(image):
 
 
 def write_sileane(folder, name="depth_gt"):
-    # The quaternion (w x y z) of a rotation by pi about x, then by 0.5 about the new z.
+    # This quaternion (w x y z) is a rotation by pi about x, then by 0.5 about the new z.
     half = np.array([np.cos(0.25), np.sin(0.25)])
     quaternion = [0.0, half[0], -half[1], 0.0]
     params = {
@@ -72,8 +72,8 @@ def write_sileane(folder, name="depth_gt"):
     return folder
 
 
-def test_poses_of_a_sileane_scene_are_in_the_camera_s_frame(tmp_path):
-    """Oracle: the pose that the inverse of that motion moved to the absolute frame."""
+def test_poses_of_a_sileane_scene_are_in_the_camera_frame(tmp_path):
+    """Oracle: the camera-frame pose from which the absolute pose in the file was computed."""
     assert np.allclose(inverse(T_WORLD_CAM) @ T_WORLD_CAM @ POSE, POSE)
     source = pickle.loads(pickle.dumps(open_source(write_sileane(tmp_path / "bunny"))))
     assert (source.split, source.scenes, source.sensor) == ("bunny", {}, "")
@@ -129,7 +129,7 @@ def test_files_that_contradict_the_sileane_format_are_refused(tmp_path):
 
 
 def write_ipa(folder):
-    """Write a camera cut out of 200 x 200 pixels: f = 90 px, axis at 99.5 px."""
+    """Write a dataset whose pictures are cut from 200 x 200 pixels: f = 90 px, axis at 99.5 px."""
     write_json(
         folder / "parameter.json",
         {
@@ -170,8 +170,8 @@ def test_an_ipa_scene_is_converted_to_the_frame_of_opencv(tmp_path):
 
 
 def test_points_from_ipa_agree_with_the_loop_over_pixels_in_its_own_code(tmp_path):
-    """Oracle: the published loop, written again: the square picture is rotated by half a turn, and
-    a pixel's centre is half a pixel from its corner; x and y change sign into OpenCV's frame.
+    """Oracle: the published loop, reimplemented. It rotates the square picture by half a turn, and
+    a pixel's centre is half a pixel from its corner. To OpenCV's frame, x and y change sign.
     """
     image = open_source(write_ipa(tmp_path / "gear")).read(7, 1)
     row, column = 30, 10

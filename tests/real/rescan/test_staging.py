@@ -1,4 +1,4 @@
-"""A staged image has the surfaces of its depth, the objects of its models, and their shadows."""
+"""Scenes from images of a dataset: surfaces, objects, materials and shadows."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from .scene_files import FACES, corners
 CAMERA = Optics(width_px=160, height_px=120, fx_px=200.0, fy_px=201.0, cx_px=80.5, cy_px=58.0)
 BENT = replace(CAMERA, distortion=(-0.1, 0.02, 1e-3, 0.0, 0.0))
 T_CAM_CUBE = rigid(axis_rotation("x", 0.5) @ axis_rotation("z", 0.7), np.array([0.03, -0.02, 0.6]))
-# The floor is oblique to the camera, with a step of 60 mm that no model has.
+# The floor is oblique to the camera; a step of 60 mm on it belongs to no model.
 FLOOR = np.array([0.05, -0.25, -1.0, 0.75])  # a x + b y + c z + d = 0
 STEP_M = 1e-4
 
@@ -88,13 +88,13 @@ def test_every_pixel_of_a_staged_scene_keeps_its_depth():
     assert result.obj_id == (7,)
     off_m = np.abs(depth_of(result) - image().depth_m)
     assert np.isfinite(off_m).all()
-    assert np.quantile(off_m, 0.97) < STEP_M  # the rest is a rim of pixels
+    assert np.quantile(off_m, 0.97) < STEP_M  # The other pixels are at rims.
     own = np.isfinite(cube_m()) & (cube_m() < without_cube())
     np.testing.assert_allclose(depth_of(result, kinds=("cube",))[own], cube_m()[own], atol=1e-9)
 
 
 def test_the_floor_has_the_shading_normals_of_its_plane():
-    """The facets of depth in steps of 0.1 mm are turned by more than the normals are."""
+    """Steps of 0.1 mm in depth tilt the facets more than the shading normals."""
     mesh = staged(parts={}, source=image(plane_m())).scene.parts[-1].mesh
     normal = FLOOR[:3] / np.linalg.norm(FLOOR[:3])
     top = mesh.face_normal @ normal > 0.9
@@ -111,7 +111,7 @@ def test_a_stated_background_replaces_the_background_of_the_picture():
 
 
 def test_the_floor_continues_behind_an_object():
-    """A membrane whose border is in a plane is this plane, behind the cube as well."""
+    """A membrane whose border is in a plane is this plane, also behind the cube."""
     behind_m = depth_of(staged(), kinds=(BACKGROUND,))
     own = np.isfinite(cube_m()) & (cube_m() < without_cube())
     assert own.sum() > 300
@@ -131,10 +131,9 @@ def test_filled_depth_is_within_the_range_of_the_surrounding_depth():
 
 
 def test_shadows_equal_those_of_the_whole_scene():
-    """Oracle: a projector at the side sees the true cube, floor and step, and the staged ones.
+    """Oracle: the view of a projector at the side on the true cube, compared with the staged scene.
 
-    The far side of the step is hidden from the camera and assumed to be filled: it is on the side
-    away from the projector.
+    The step is left out: the camera does not see its far side, which is assumed to be solid.
     """
     projector = replace(CAMERA, width_px=320, height_px=240, cx_px=160.0, cy_px=120.0)
     T_proj_cam = inverse(rigid(axis_rotation("y", -0.35), np.array([0.25, 0.0, 0.0])))
@@ -159,7 +158,7 @@ def test_shadows_equal_those_of_the_whole_scene():
 
 
 def test_an_unknown_object_hides_a_known_object_behind():
-    """A rod without a model is in front of the cube in the depth."""
+    """Depth shows a rod without a model in front of the cube."""
     depth_m = np.fmin(without_cube(), cube_m())
     rod = np.zeros(depth_m.shape, dtype=bool)
     rod[:, 85:93] = True
@@ -192,8 +191,8 @@ def test_an_object_that_fills_the_picture_has_a_background():
         staged(image(np.full(without_cube().shape, np.nan)))
 
 
-def test_looks_come_from_the_picture_if_none_are_stated():
-    rgb = np.full((*without_cube().shape, 3), 188, dtype=np.uint8)  # half of the light of 255
+def test_materials_come_from_the_picture_if_none_are_stated():
+    rgb = np.full((*without_cube().shape, 3), 188, dtype=np.uint8)  # half as much light as 255
     rgb[:4] = 255
     own = np.isfinite(cube_m()) & (cube_m() < without_cube())
     rgb[own] = [137, 0, 255]
@@ -206,11 +205,12 @@ def test_looks_come_from_the_picture_if_none_are_stated():
     with_material = staged(image(rgb=rgb), {7: part(material=steel)})
     assert with_material.scene.parts[0].material == steel
     texture = with_material.scene.parts[1].material.texture
-    assert texture is not None and (texture[own] == texture[-1, 0]).all()  # no cube on the floor
+    # The floor's texture must not show the cube.
+    assert texture is not None and (texture[own] == texture[-1, 0]).all()
 
 
 def test_another_camera_keeps_the_lens_of_the_scanner():
-    """Focal length in metres and f-number are the scanner's; otherwise it is refused."""
+    """Focal length in metres, aperture and angular blur do not change."""
     scanner = preset("like-phoxi-m")
     own = with_camera(scanner, BENT)
     assert own.rig.camera.K == pytest.approx(CAMERA.K)

@@ -1,4 +1,4 @@
-"""A fitted configuration: a key is replaced, and sections that the new rig has are dropped."""
+"""A fitted configuration has a new rig and drops the sections that belong to the old rig."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The whole command on scans of a simulated scanner: its files, its output, and the same twice."""
+"""The command `real twin` on scans of a simulated scanner: files, output, reproducibility."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def scanned(tmp_path_factory, mitsuba_renderer):
     """Return a cell, and five scans of its heaps with their colour pictures."""
     folder = tmp_path_factory.mktemp("cell")
     path = write_cell(folder, count=8)
-    # The error of Gray code alone exceeds the height of objects above the bin.
+    # With Gray code alone, errors would exceed the least height of objects above the bin.
     code = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
     save_scanner(replace(load_scanner(folder / "rig.yaml"), code=code), folder / "rig.yaml")
     cell = resolve_cell(load_config(path), folder)

@@ -1,4 +1,4 @@
-"""Parameters by the rig file's keys: values are set where the file has them, and read back."""
+"""Parameters are set in a scanner, and read back, by their keys in the rig file."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_a_filter_and_a_fault_are_off_below_their_smallest_value():
     assert some.rig.projector.falloff == 0.45
 
 
-def test_a_deeper_pixel_well_does_not_change_the_brightness_at_saturation():
+def test_a_larger_full_well_does_not_change_the_digital_number_at_saturation():
     well = next(p for p in PARAMETERS if p.key == "sensor.full_well_e")
     deep = with_values(SCANNER, [well], {well.key: 8e4}).sensor
     assert deep.full_well_e == 8e4

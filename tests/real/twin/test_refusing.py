@@ -1,4 +1,4 @@
-"""Depth without a shadow side is not from structured light."""
+"""Scans without a shadow side are refused, because they are not from structured light."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_a_projector_at_the_position_of_the_camera_is_refused_with_the_reason():
 
 
 def test_stereo_with_filled_shadows_is_refused():
-    """Two matched cameras, a filled disparity: the far surface continues behind the near one."""
+    """With filled disparity, both sides of an object have depth steps between valid pixels."""
     rng = np.random.default_rng(2)
     filled = []
     for _ in range(3):

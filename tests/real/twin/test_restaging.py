@@ -1,4 +1,4 @@
-"""A scene staged from its scan has the surfaces, edges and shadows of the original."""
+"""Scenes reconstructed from a scan have the surfaces, edges and shadows of the original."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ PROJECTOR_M = np.array([-0.2, 0.0, 0.0])  # in the camera frame
 
 
 def camera(finer=1):
-    """Return the same view with several pixels for each one."""
+    """Return the camera, with `finer` times as many pixels along each axis."""
     return Optics(
         width_px=finer * WIDTH_PX,
         height_px=finer * HEIGHT_PX,
@@ -50,7 +50,7 @@ def bin_scene():
 
 
 def things():
-    """Return an inclined box, a ball and a narrow tower, in the world."""
+    """Return an inclined box, a sphere and a narrow tower in the world frame."""
     block = trimesh.creation.box((0.12, 0.08, 0.04))
     block.apply_transform(rigid(axis_rotation("y", 0.4), np.array([-0.1, 0.05, 0.06])))
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.035)
@@ -61,7 +61,7 @@ def things():
 
 
 def depth_of(vertices_m, faces, optics, T_cam_world):
-    """Return z-depth; NaN for no surface."""
+    """Return z-depth; NaN without a surface."""
     return rasterize(transform_points(T_cam_world, vertices_m), faces, optics).over(optics)[1]
 
 
@@ -87,7 +87,7 @@ def scan_of(depth_m, name="scan"):
 
 
 def noisy_scan(seed=0, thing=None):
-    """Return bin and objects with noise and single holes; a pixel of two surfaces has no depth."""
+    """Return a scan with noise and holes, in which pixels that see two surfaces have no depth."""
     rng = np.random.default_rng(seed)
     depth_m = np.fmin(of_thing(camera(), thing), of_bin(camera()))
     fine = np.isfinite(of_thing(camera(4), thing)).reshape(HEIGHT_PX, 4, WIDTH_PX, 4)
@@ -105,10 +105,10 @@ def staged():
 
 
 def test_the_surface_covers_every_pixel_and_has_little_noise(staged):
-    """Paraboloids leave a fifth of the noise; edges are rounded by at most a pixel's step."""
+    """Paraboloids leave a fifth of the noise, and edges are hardly rounded."""
     truth_m, part_m = of_thing(camera()), of_part(staged, camera())
     inner = np.isfinite(truth_m) & np.isfinite(noisy_scan().depth_m)
-    assert np.isfinite(part_m[inner]).all()  # neither a gap nor a crack
+    assert np.isfinite(part_m[inner]).all()  # There are no gaps or cracks.
     off_m = np.abs(part_m - truth_m)[inner]
     assert np.median(off_m) < 0.3 * SIGMA_M
     assert np.quantile(off_m, 0.95) < 2 * SIGMA_M
@@ -117,31 +117,31 @@ def test_the_surface_covers_every_pixel_and_has_little_noise(staged):
     assert elsewhere.sum() < 0.003 * inner.sum()
 
 
-def test_edges_are_marked_in_pixels_that_see_two_surfaces(staged):
-    """At four times as many pixels, the objects cover the same area up to a tenth of a pixel."""
+def test_edges_divide_pixels_that_see_two_surfaces(staged):
+    """At four times the resolution, the objects cover the same area up to 2 %."""
     truth, part = (np.isfinite(one) for one in (of_thing(camera(4)), of_part(staged, camera(4))))
     assert part.sum() / truth.sum() == pytest.approx(1, abs=0.02)
     assert (part != truth).sum() < 0.06 * truth.sum()
 
 
 def test_a_pixel_without_depth_keeps_its_shares_of_two_surfaces():
-    """In a pixel between white and dark, white covers its share of the light in both."""
+    """A pixel between white and dark is divided so that both send equal light to it."""
     known = np.array([[True, True, False, True, True, False, False, False, True]])
     light = np.array([[0.8, 0.8, 0.5, 0.05, 0.05, 0.5, 0.5, 0.5, 0.8]])
     left, right, up, down = np.moveaxis(_covered(known, light), -1, 0)
     assert right[0, 1] == pytest.approx(0.05 / 0.85)
     assert left[0, 3] == pytest.approx(0.8 / 0.85)
-    assert right[0, 1] + left[0, 3] == pytest.approx(1)  # both have the edge at one position
-    assert right[0, 4] == left[0, 8] == 0.5  # next to a shadow
+    assert right[0, 1] + left[0, 3] == pytest.approx(1)  # Both have the edge at one position.
+    assert right[0, 4] == left[0, 8] == 0.5  # These pixels are next to a shadow.
     assert not right[0, 0] and not left[0, 1] and not up[known].any() and not down[known].any()
 
 
 @pytest.mark.slow
 def test_flat_surfaces_have_few_triangles_and_no_cracks(staged):
-    """Squares of pixels meet smaller ones, whose corners are on their sides in the picture."""
+    """If a large square meets small squares, their corners must be on its side."""
     mesh = staged.parts[0].mesh
     covered = np.isfinite(of_part(staged, camera())).sum()
-    assert len(mesh.faces) < 0.8 * 2 * covered  # small objects: most pixels are next to a rim
+    assert len(mesh.faces) < 0.8 * 2 * covered  # Most pixels of small objects are next to a rim.
     board = trimesh.creation.box((0.3, 0.2, 0.03))
     board.apply_translation((0, 0, 0.015))
     (scene,) = restage([scan_of(np.fmin(of_thing(camera(), board), of_bin(camera())))], bin_scene())
@@ -154,9 +154,9 @@ def test_flat_surfaces_have_few_triangles_and_no_cracks(staged):
 
 @pytest.mark.slow
 def test_shadows_equal_those_of_the_true_objects(staged):
-    """Oracle: the view of the projector's pinhole of the true objects, and of the solid.
+    """Oracle: the shadows of the true objects in the view of the projector's pinhole.
 
-    A sheet without sides would let light pass below the tower and the inclined box.
+    A surface without sides would let light pass below the tower and the inclined box.
     """
     T_proj_world = rigid(np.eye(3), -PROJECTOR_M) @ inverse(T_WORLD_CAM)
     true, solid = things(), staged.parts[0].mesh
@@ -193,7 +193,7 @@ def test_shadows_equal_those_of_the_true_objects(staged):
     flat = trimesh.Trimesh(solid.vertices_m, solid.faces, process=False)
     to_camera = flat.triangles_center - T_WORLD_CAM[:3, 3]
     along = np.abs((flat.face_normals * to_camera).sum(axis=1)) / np.linalg.norm(to_camera, axis=1)
-    top = solid.faces[along > 0.02]  # Sides are along the camera's rays.
+    top = solid.faces[along > 0.02]  # Sides are parallel to the camera's rays.
     sheet = lit(solid.vertices_m, top)
     assert (sheet & ~truly).sum() > 2 * (by_solid & ~truly).sum()
 
@@ -225,7 +225,7 @@ def test_noise_on_the_bin_is_not_taken_for_an_object():
 
 
 def test_smoothing_keeps_a_plane_and_a_sharp_edge():
-    """Two boards that meet at a ridge: a plain mean over the window would cut it by 0.6 mm."""
+    """Two planes meet at a ridge, which a mean over the window would lower by 0.6 mm."""
     x = np.mgrid[:60, :80][1].astype(float)
     inverse_m = 1.4 + 2e-3 * np.abs(x - 39.5)
     planes = surfaces(1 / inverse_m, np.ones(x.shape, dtype=bool), _ROUNDS)
@@ -242,16 +242,16 @@ def painted(height_px, width_px, color=(200, 100, 50)):
 
 @pytest.mark.slow
 def test_pictures_are_converted_to_reflectances_with_white_as_the_brightest():
-    """All have one factor: the second picture is half as bright, in linear light."""
+    """All pictures have one factor; the second is half as bright in linear light."""
     first, second = (
         painted(2 * HEIGHT_PX, 2 * WIDTH_PX),
         painted(HEIGHT_PX, WIDTH_PX, (146, 71, 33)),
     )
-    first[: HEIGHT_PX // 2] = 0  # mapped onto the depth, with an empty pixel
+    first[: HEIGHT_PX // 2] = 0  # A picture that is mapped onto depth is black without colour.
     staged = restage([noisy_scan(0), noisy_scan(1)], bin_scene(), [first, second])
     a, b = (one.parts[0].material.texture for one in staged)
     assert a.shape == first.shape
-    assert (a == a[-1, -1]).all()  # the nearest colour where the picture has none
+    assert (a == a[-1, -1]).all()  # The nearest colour replaces missing colours.
 
     def light(value):
         share = value / 255
@@ -260,11 +260,11 @@ def test_pictures_are_converted_to_reflectances_with_white_as_the_brightest():
     assert light(a[0, 0])[0] == pytest.approx(0.8, abs=0.01)
     assert light(a[0, 0])[1] / light(a[0, 0])[0] == pytest.approx(light(100) / light(200), rel=0.03)
     assert light(b[0, 0])[0] == pytest.approx(0.4, abs=0.01)
-    assert light(b[0, 0])[2] == pytest.approx(0.03, abs=0.002)  # print is not blacker
+    assert light(b[0, 0])[2] == pytest.approx(0.03, abs=0.002)  # the smallest reflectance
 
 
 def test_a_texture_is_placed_on_the_surface_in_its_picture(staged):
-    """uv of the top's vertices are their positions in the picture."""
+    """The uv coordinates of a vertex are its position in the picture."""
     part = staged.parts[0]
     mesh: Mesh = part.mesh
     corner = transform_points(inverse(T_WORLD_CAM), mesh.vertices_m[mesh.faces].reshape(-1, 3))
@@ -275,7 +275,7 @@ def test_a_texture_is_placed_on_the_surface_in_its_picture(staged):
 
 
 def test_a_bin_at_another_place_is_refused():
-    """It is 10 mm too deep and aside: the whole scan would be one object."""
+    """The bin is 10 mm too low and shifted, so the whole scan would be one object."""
     scene, off_m = bin_scene(), np.array([0.02, 0.02, 0.01])
     lower = replace(scene, T_world_cam=rigid(np.eye(3), off_m) @ T_WORLD_CAM)
     with pytest.raises(GraycastError, match=r"within 1\.5 mm of the bin: check the bin"):

@@ -1,4 +1,4 @@
-"""Statistics in closed form: noise that rows have in common, and counted holes."""
+"""Statistics of scans, compared with closed forms: correlated noise, and counts of holes."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ def row(depth_m, name):
 
 
 def noisy(spread, seed=0):
-    """Return a plane with normal noise, whose standard deviation may vary from square to square."""
+    """Return a plane with normal noise of standard deviation `SIGMA_M` times `spread`."""
     z_m = plane()
     return z_m + SIGMA_M * spread * np.random.default_rng(seed).standard_normal(z_m.shape)
 
 
 @pytest.mark.parametrize("missing", [0.5, 0.99, 1.0])
 def test_a_scan_without_smooth_squares_has_no_texture(missing):
-    """A search also tries scanners that see almost nothing: their scans are no error."""
+    """A search also tries scanners that measure almost nothing, so this is not an error."""
     z_m = noisy(1.0)
     z_m[np.random.default_rng(1).random(z_m.shape) < missing] = np.nan
     for name in ("noise along x above fine noise", "noise common to rows"):
@@ -31,8 +31,8 @@ def test_a_scan_without_smooth_squares_has_no_texture(missing):
 
 
 def test_noise_common_to_a_row_is_reported_as_correlation():
-    """Rows are a sum of their own noise and of that of neighbours: the correlation of `a_y + k
-    a_(y+1)` with the next row is `k / (1 + k^2)`, which columns do not have.
+    """A row is the sum of its own noise and k times that of the next row, `a_y + k a_(y+1)`. Its
+    correlation with the next row is `k / (1 + k^2)`; columns are not correlated.
     """
     k, white = (
         0.3,
@@ -45,11 +45,11 @@ def test_noise_common_to_a_row_is_reported_as_correlation():
 
 def test_only_isolated_holes_are_counted():
     z_m = plane().copy()
-    z_m[40:200:20, 40:200:20] = np.nan  # These holes are isolated.
+    z_m[40:200:20, 40:200:20] = np.nan  # isolated holes
     z_m[220:224, 100:140] = np.nan  # a wide hole
     single = 8 * 8
-    # Not counted are inner pixels that lack a neighbour: those next to a hole, in the wide hole,
-    # and in the rows and columns that touch it.
+    # Inner pixels count only if all four neighbours have depth, unlike the neighbours of a hole,
+    # the pixels in the wide hole, and the rows and columns that touch it.
     places = 238 * 318 - 4 * single - 4 * 40 - 2 * 40 - 2 * 4
     percent = row(z_m, "missing among present neighbours")
     assert percent == pytest.approx(100 * single / places, rel=1e-9)
@@ -58,7 +58,7 @@ def test_only_isolated_holes_are_counted():
 
 @pytest.mark.slow
 def test_only_holes_in_the_plane_of_the_floor_count_as_holes_of_the_floor():
-    """The plane is at 0.6 m; a box on it, half of the picture, has other holes."""
+    """The other half of the picture is a box on the floor, with other holes."""
     z_m = plane().copy()
     z_m[:, 160:] -= 0.02
     z_m[40:200:20, 40:140:20] = np.nan
@@ -81,7 +81,7 @@ def test_missing_depth_is_counted_for_each_side_of_the_bin():
 
 
 def test_equal_scans_have_the_smallest_allowed_spread():
-    """Otherwise, scans that are equal by chance would match no statistics."""
+    """Otherwise, a twin could not match scans that are equal by chance."""
     real = Figures(value={name: np.full(3, 1.0) for name in ROWS})
     spread = {one.name: one.spread for one in compare(real, real)}
     assert spread["fine noise, median"] == 0.05

@@ -1,4 +1,4 @@
-"""A bin of another colour and gloss is a sum of two renderings; its sides are its steep faces."""
+"""Scenes with another look of the bin, and masks of the bin's sides."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ DARK = {"base_color": [0.05, 0.05, 0.05], "roughness": 0.5, "specular": 0.5}
 
 
 def lit_bin(folder, renderer, **material):
-    """Return a box in a bin of that material, and in the same bin without colour."""
+    """Return a scanner, and its lit scene of a box in a bin of this material."""
     folder.mkdir()
     path = write_cell(
         folder,
@@ -43,10 +43,10 @@ def lit_bin(folder, renderer, **material):
 
 @pytest.mark.slow
 def test_light_from_a_bin_is_the_sum_of_two_renderings(tmp_path, mitsuba_renderer, monkeypatch):
-    """Oracle: the renderer's own picture of a bin with a third of the colour or half of the coat.
+    """Oracle: renderings of bins with other colours, gloss or roughness.
 
-    Half of the coat is not exact: 6 % of the light are missing, because a weaker coat also lets
-    more light through to the colour and gloss at grazing angles depends less on it.
+    Half of the gloss is not exact: 6 % of the light is missing, because a weaker coat transmits
+    more light to the colour below it, and gloss at grazing angles depends less on the coat.
     """
     scanner, lit = lit_bin(tmp_path / "own", mitsuba_renderer)
     taken, changes = [], []
@@ -72,12 +72,12 @@ def test_light_from_a_bin_is_the_sum_of_two_renderings(tmp_path, mitsuba_rendere
         assert twin[bright].mean() == pytest.approx(expected[bright].mean(), rel=2 * tolerance)
         parts = ~lit.is_bin
         assert np.array_equal(taken[k].white[parts], lit.radiance[scanner.code].white[parts])
-    assert min(changes[:2]) > 0.2, changes  # The change matters.
+    assert min(changes[:2]) > 0.2, changes  # The changed looks differ clearly from the original.
     assert changes[2] > 0.05, changes
 
 
 def funnel():
-    """Return the depth of a square floor with four sides, inclined outwards by 45 degrees."""
+    """Return the depth of a square floor with four sides that are inclined outwards."""
     y, x = np.mgrid[-119.5:120, -159.5:160]
     return 0.6 - np.clip(np.maximum(np.abs(x), np.abs(y)) - 60, 0, None) * 0.6 / 300
 

@@ -1,4 +1,4 @@
-"""The fitted bin is written with all properties that the measuring camera sees."""
+"""The fitted properties of the bin are written into the configuration."""
 
 import pytest
 from small_cell import write_cell
@@ -33,7 +33,7 @@ def written(folder, material, values):
 def test_colour_and_coat_are_written_as_fitted(tmp_path):
     values = {BIN_COLOR: 2.0, BIN_GLOSS: 0.5, BIN_ROUGHNESS: -0.1}
     material = written(tmp_path, PLAIN, values)["bin"]["material"]
-    assert material["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # the largest value
+    assert material["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # 0.9 is the largest value.
     assert (material["specular"], material["roughness"]) == (0.2, 0.4)
     assert "projector_reflectance" not in material
 

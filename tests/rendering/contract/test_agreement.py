@@ -1,4 +1,4 @@
-"""Each renderer, compared with the exact reference on one picture of everything."""
+"""Each renderer is compared with the exact reference on one scene with all its features."""
 
 import numpy as np
 import pytest
@@ -13,12 +13,13 @@ DIRECT = Quality(samples=64, depth=1)
 
 @pytest.mark.slow
 def test_each_renderer_agrees_with_the_exact_renderer(path_tracer):
-    """Two programs without common code, on a scene with distortion in both lenses, shadows and
-    borders. Inside surfaces both give the value at the pixel's centre, one by a regular grid and
-    Mitsuba by mirrored pairs: a hundredth of the difference of neighbours is enough. At borders
-    each may miss an eighth of a pixel's range (8 x 8 positions), and both together a quarter.
-    Cycles' samples are random but well spread: their mean is within a twentieth of a pixel, and at
-    a border their mean has a standard deviation of a sixteenth of the range.
+    """Oracle: another program, on a scene with shadows, borders, and distortion in both lenses.
+
+    Inside surfaces both give the value at the pixel's centre, one by a regular grid and Mitsuba by
+    mirrored pairs: a hundredth of the difference of neighbours is enough. At borders each may miss
+    an eighth of a pixel's range (8 x 8 positions), and both together a quarter. Cycles' samples are
+    random but evenly spread: their mean is within a twentieth of a pixel, and at a border it has a
+    standard deviation of a sixteenth of the range.
     """
     lens, beam = (-0.2, 0.08, 0.003, -0.002, 0.0), (0.1, -0.03, -0.003, 0.004, 0.0)
     camera, projector = optics(96, 72, 90, distortion=lens), optics(33, 21, 24, distortion=beam)

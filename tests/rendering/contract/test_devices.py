@@ -39,9 +39,9 @@ def changed(rig, device, **words):
 def assert_same_light(renderer, one, other, *, rounding):
     """Check equal light up to rounding if a renderer's pictures share their samples in the pixel.
 
-    Cycles draws new samples for each. On a smooth surface, the mean of 64 well spread samples is
-    within a twentieth of a pixel of the pixel's centre, in both pictures. Anywhere, a mean of n has
-    a standard deviation of at most the range over 2 sqrt(n) (Popoviciu).
+    Cycles draws new samples for each picture. On a smooth surface, the mean of 64 evenly spread
+    samples is within a twentieth of a pixel of the pixel's centre, in both pictures. Elsewhere, the
+    mean of n samples has a standard deviation of at most the range over 2 sqrt(n) (Popoviciu).
     """
     if renderer.name != "cycles":
         assert np.abs(one - other).max() < rounding
@@ -169,7 +169,7 @@ def test_a_camera_pixel_receives_light_only_in_its_sensitive_square(renderer, si
 
 @pytest.mark.slow
 def test_the_measuring_camera_records_reflectance_at_the_projector_s_wavelength(renderer):
-    """The colour picture shows the colour; both are relative to a grey wall's."""
+    """The colour picture shows the surface's colour; both pictures are relative to a grey wall."""
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
     pattern = plain_pattern(rig, 255, 100)
     red = replace(lambert(0.9, 0.1, 0.1), projector_reflectance=0.25)

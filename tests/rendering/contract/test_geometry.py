@@ -174,7 +174,7 @@ def test_camera_rays_are_distorted_as_opencv_distorts_them(renderer):
 
 
 def projector_pixel(code, light, axis):
-    """Return the projector pixel: each bit by majority of light, looked up in the patterns."""
+    """Return each pixel's projector pixel, from bits that the majority of its light decides."""
     use = [k for k, frame in enumerate(code.frames) if frame.axis == axis]
     pictures = code.render()[use] > 127
     words = pictures[:, 0, :] if axis == "column" else pictures[:, :, 0]
@@ -190,10 +190,10 @@ def projector_pixel(code, light, axis):
     "distortion", [(0.0, 0.0, 0.0, 0.0, 0.0), (-0.15, 0.08, 0.01, -0.008, 0.02)]
 )
 def test_patterns_light_each_point_with_the_projector_pixel_that_opencv_gives(renderer, distortion):
-    """Oracle: OpenCV projects the true point. The majority of a pixel is its centre, so the decoded
-    position is within half a projector pixel; 25 positions per pixel blur that by a quarter of the
-    pixel's width. The renderer's own position is a mean over projector pixels with the same bound;
-    its mean error is 0, so that half a pixel would be noticed.
+    """Oracle: OpenCV projects the true point. Most of a pixel's light is that of its centre, so the
+    decoded position is within half a projector pixel; 25 positions per pixel blur that by a quarter
+    of the pixel's width. The renderer's own position is a mean over projector pixels with the same
+    bound; its mean error is 0, so that half a pixel would be noticed.
     """
     projector = optics(31, 26, 44, distortion=distortion)
     rig = askew_rig(camera=optics(150, 110, 110), projector=projector)
@@ -228,7 +228,7 @@ def test_patterns_light_each_point_with_the_projector_pixel_that_opencv_gives(re
 
 
 def test_a_point_far_outside_a_barrel_distorted_projector_s_field_is_dark(renderer):
-    """Far off the axis r (1 + k1 r^2) decreases: it would light a ghost of the picture there."""
+    """Far off the axis r (1 + k1 r^2) decreases, so the formula alone gives a ghost image."""
     projector = optics(32, 24, 40, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
     rig = make_rig(optics(96, 72, 16), projector)  # the camera sees 71 degrees off its axis
     light = render(renderer, in_camera(rig, wall(0.5, GRAY, half_m=9.0))).radiance.pattern[0]

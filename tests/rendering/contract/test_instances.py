@@ -29,7 +29,7 @@ ONE = Quality(samples=1, depth=1)
 HALVES = (np.array([0.05, 0.03, 0.02]), np.array([0.02, 0.06, 0.03]))
 KINDS = tuple(
     box_part(half, lambert(0.5), name=f"box{i}") for i, half in enumerate(HALVES)
-)  # two kinds of one material must not become one shape
+)  # two kinds with one material, which must not become one shape
 
 
 def truth_of(renderer, scene, layout):
@@ -235,7 +235,7 @@ def test_corner_normals_change_the_shading_but_not_the_geometric_normals(path_tr
 
 
 def smooth_ball(radius_m, material):
-    """Return a sphere of flat triangles, 4 degrees wide, that is shaded as a smooth one."""
+    """Return a sphere of flat triangles, 4 degrees wide, that is shaded as a smooth sphere."""
     turn, height = np.meshgrid(np.linspace(0, 2 * np.pi, 91), np.linspace(0, np.pi, 46))
     ring = np.sin(height)
     point = np.stack([ring * np.cos(turn), ring * np.sin(turn), np.cos(height)], axis=-1)

@@ -21,7 +21,7 @@ def ambient(renderer, scene, *, samples=256, depth=1, seed=0):
 
 
 def corner_form_factor(a, b, h):
-    """Form factor of a rectangle a x b at height h, parallel, with one corner above the point.
+    """Return the form factor of a parallel rectangle a x b at height h, a corner above the point.
 
     Source: J. R. Howell, "A Catalog of Radiation Heat Transfer Configuration Factors", B-3.
     """
@@ -181,7 +181,7 @@ def test_a_camera_that_looks_up_sees_a_bright_spot_at_the_zenith(path_tracer, tm
         assert (image[8, 8] > 4.9).all() == bright
 
 
-FROM_NORTH_DEG, HEIGHT_DEG = 115.3125, 29.53125  # share of the spot of `spot_map`
+FROM_NORTH_DEG, HEIGHT_DEG = 115.3125, 29.53125  # direction of the spot of `spot_map`
 
 
 def spot_map(path):
@@ -195,7 +195,7 @@ def spot_map(path):
 
 
 def spot_direction():
-    """The first column of a map is at +y, then +x, -y and -x; its rows go from +z to -z."""
+    """Return the spot's direction; columns go from +y to +x, -y and -x, rows from +z to -z."""
     north, height = np.radians([FROM_NORTH_DEG, HEIGHT_DEG])
     assert FROM_NORTH_DEG / 360 * 512 == 164 and (90 - HEIGHT_DEG) / 180 * 256 == 86
     aside = np.cos(height)
@@ -203,7 +203,7 @@ def spot_direction():
 
 
 def test_a_bright_spot_of_a_map_is_visible_in_its_direction(path_tracer, tmp_path):
-    """A camera in that direction has it in its centre: eight texels are 5.6 degrees."""
+    """A camera that looks there sees the spot in the centre: eight texels are 5.6 degrees."""
     direction = spot_direction()
     rig = make_rig(centred(33, 33, 80), centred(8, 8, 8))
     scene = Scene(

@@ -30,9 +30,9 @@ from graycast.world.scene import Quad, Sphere
     ],
 )  # fmt: skip
 def test_the_blur_of_an_edge_is_half_the_thin_lens_radius(path_tracer, device, z_m):
-    """The line spread of a disc of radius R has the standard deviation R / 2. R by similar
-    triangles: rays from the pupil's rim to a point at z cross the plane in focus, at f, apart by A
-    |z - f| / z, where f / fx is a pixel.
+    """The line spread of a disc of radius R has the standard deviation R / 2. R follows from
+    similar triangles: rays from the pupil's rim to a point at z cross the plane in focus, at f, at
+    a distance of A |z - f| / z, where f / fx is a pixel.
     """
     focus_m, psf_px, f_px, samples = 0.5, 1.5, 300.0, 1024
     if path_tracer.name == "cycles":
@@ -70,7 +70,7 @@ def test_a_tiny_pupil_gives_the_picture_of_a_pinhole(path_tracer, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("picture", ["spot", "white"])
 def test_defocus_conserves_light(path_tracer, picture):
-    """A bright square, and the whole field with its borders: their sums on a wall stay."""
+    """A bright square, and the whole field with its borders, keep their sum of light on a wall."""
     psf_px, samples = (1.0, 256) if path_tracer.name == "mitsuba" else (0.0, 64)
     sharp = make_rig(centred(96, 96, 60), centred(32, 24, 40), baseline_m=NEAR_BY)
     soft = replace(

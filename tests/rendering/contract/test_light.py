@@ -25,7 +25,7 @@ from graycast.world.scene import EMPTY_LAYOUT, Quad, Sphere
 def test_a_lambertian_plane_has_radiance_albedo_over_pi_times_irradiance(renderer):
     """L = albedo / pi * I cos(theta) / d^2, and white, half and black patterns in proportion.
 
-    L is linear over a pixel to 1e-4, so its mean is the value at the centre; the mean of 64 well
+    L is linear over a pixel to 1e-4, so its mean is the value at the centre; the mean of 64 evenly
     spread positions is within a twentieth of a pixel of the centre.
     """
     albedo, weights = np.array([0.8, 0.5, 0.2]), np.array([0.5, 0.3, 0.2])

@@ -72,7 +72,7 @@ def test_the_complementary_bit_changes_only_in_the_middle_of_every_period():
 
 @pytest.mark.parametrize("period_px", [16.0, 20.0])
 def test_phases_at_three_frequencies_are_unique_for_each_position(period_px):
-    """This includes its two ends; 0.4 rad is ten standard deviations of a typical phase."""
+    """This includes both ends of the axis; 0.4 rad is ten sigmas of a typical phase."""
     code = multi_frequency(640, 480, period_px=period_px)
     periods = sorted({frame.period_px for frame in code.frames if frame.kind == "phase"})
     assert len(periods) == 3 and periods[0] == pytest.approx(period_px)

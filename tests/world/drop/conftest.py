@@ -1,4 +1,4 @@
-"""Parts of a few numbers that have closed forms."""
+"""Parts that are defined by a few numbers and have closed forms."""
 
 from pathlib import Path
 

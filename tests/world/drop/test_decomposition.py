@@ -72,14 +72,14 @@ def test_hulls_of_a_ring_leave_its_hole_open_and_fill_its_body(ring_part, ring_h
     r, turn = rng.uniform(0.0153, 0.0247, 5000), rng.uniform(0, 2 * np.pi, 5000)
     z = rng.uniform(-0.0047, 0.0047, 5000)
     body = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
-    # Gaps of some 50 nm are between the wedges, and a point may be in one.
+    # There are gaps of about 50 nm between the wedges, and a point may be in a gap.
     assert in_hulls(ring_hulls, body).mean() > 0.9995
     assert len(ring_hulls) <= 40
 
 
 @pytest.mark.parametrize("thickness_m", [0.4e-3, pytest.param(0.8e-3, marks=pytest.mark.slow)])
 def test_hulls_of_a_thin_washer_leave_its_hole_open(thickness_m):
-    """Its bore is at most half the thickness below the hull, but it is 8 mm wide."""
+    """A hull that fills the hole has no point deeper in it than half the thickness."""
     mesh = mesh_of(trimesh.creation.annulus(4e-3, 8e-3, thickness_m, sections=48))
     hulls = decompose(mesh)
     rng = np.random.default_rng(0)
@@ -104,7 +104,7 @@ def test_hulls_of_a_thin_cup_leave_it_open():
 
 
 def test_a_bolt_becomes_hulls_of_a_hexagonal_prism_and_a_round_shank():
-    """Exact: twelve vertices of the head, and a shank with the mesh's own rings."""
+    """The hulls are exact: twelve vertices of the head, and a shank with the mesh's own rings."""
     mesh = zoo_part("hex_bolt").mesh
     hulls = sorted(decompose(mesh), key=lambda hull: len(hull[0]))
     head, shank = hulls[0][0], hulls[1][0]
@@ -140,7 +140,7 @@ def test_hulls_fill_an_inner_cavity():
 
 
 def test_the_error_of_hulls_is_the_depth_of_a_filled_notch_or_a_lost_end():
-    """A wide notch, 3 mm deep, that one hull bridges; a hull that ends 2 mm early."""
+    """One hull bridges a wide notch that is 3 mm deep; another hull ends 2 mm early."""
     block = trimesh.creation.box((0.1, 0.1, 0.02))
     notch = trimesh.creation.box((0.04, 0.2, 0.006))
     notch.apply_translation((0, 0, 0.01))
@@ -245,7 +245,7 @@ def test_decomposing_a_single_part_reports_its_stages(tmp_path):
 
 @pytest.fixture
 def children(monkeypatch, tmp_path):
-    """Return all child processes in the order of their starts; they have two processors.
+    """Return all child processes in the order of their starts; two processors are available.
 
     Temporary folders are in `tmp_path / "aside"`.
     """
@@ -337,7 +337,7 @@ prepare((part,), hull_folder=Path({folder!r}), progress=meter)
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", ["start", "building", "cutting", "joining"])
 def test_a_batch_system_s_stop_signal_ends_decomposition_at_any_stage(stage, tmp_path):
-    """It takes at most 2 s, and no process is left behind."""
+    """The process ends within 2 s, and leaves no child process."""
     mesh = wavy_ring(330_000)
     np.savez(tmp_path / "mesh.npz", v=mesh.vertices_m, f=mesh.faces)
     program = WAIT.format(mesh=str(tmp_path / "mesh.npz"), folder=str(tmp_path / "cache"))

@@ -1,4 +1,4 @@
-"""A gripped part: the tool carries its weight, and loses it as its law says."""
+"""A tool carries the weight of a gripped part, and loses the part as its law states."""
 
 import math
 

@@ -16,7 +16,7 @@ def test_the_overlap_of_two_cubes_equals_the_distance_of_their_push(depth_m):
 
 
 def test_two_crossed_edges_overlap_by_the_distance_along_their_common_normal():
-    """The edges are along x + z-roof and y, at height 10 sqrt 2 mm, and overlap by 1 mm."""
+    """Both cubes are rotated by 45 degrees onto an edge; these edges overlap by 1 mm."""
     lower = CUBE @ axis_rotation("x", np.pi / 4).T
     upper = CUBE @ axis_rotation("y", np.pi / 4).T + [0, 0, 0.02 * np.sqrt(2) - 1e-3]
     assert overlap_m(lower, upper) == pytest.approx(1e-3)

@@ -91,9 +91,8 @@ def test_a_slab_slides_only_above_the_friction_angle(monkeypatch, angle_deg, hol
 
 
 def test_a_part_that_needs_more_than_nine_tenths_of_its_friction_is_not_at_rest(monkeypatch):
-    """At 13.8 degrees: the engine's 6/7 of 0.3 hold up to 14.4, nine tenths of that up to 13.0.
-
-    Released, the slab creeps on, as it would in a heap that a hand has touched.
+    """At 13.8 degrees, the engine's 6/7 of 0.3 holds the slab (up to 14.4), but nine tenths of that
+    does not (up to 13.0), so the slab creeps on.
     """
     upright, angle = rapier._world, np.deg2rad(13.8)
 
@@ -222,7 +221,7 @@ def test_only_moving_parts_are_damped_and_rest_is_judged_without_damping():
     heap = Scripted(sinking)
     box_m = np.stack([body_of_box((0.04,) * 3).box_m] * 2)
     end, last_m, seconds, rests = rest._rest(heap, box_m, 5.0)
-    assert last_m == 0  # This is from the 0.2 s that showed rest, not from the fall.
+    assert last_m == 0  # This is the motion in the 0.2 s that showed rest, not in the fall.
     assert rests and seconds == pytest.approx(19 * rest.LOOK_S)
     assert end[:, 2, 3] == pytest.approx([0.09, 0.1])
     factors = np.array(heap.parts["factors"])

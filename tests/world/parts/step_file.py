@@ -26,7 +26,7 @@ class _Lines(list):
 
 
 def step_box(length, width, height, prefix):
-    """Write the file; `prefix` is that of the metre, such as .MILLI."""
+    """Return the text of the file; `prefix` is the SI prefix of the metre, such as .MILLI."""
     lines = _Lines()
     size = np.array([length, width, height])
     corner = [np.array([k & 1, k >> 1 & 1, k >> 2]) * size for k in range(8)]

@@ -66,7 +66,7 @@ def test_shading_normals_of_a_built_in_part_deviate_at_most_by_its_facet_angle(n
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_a_built_in_part_is_made_equal_every_time(name):
+def test_a_built_in_part_is_the_same_each_time_it_is_made(name):
     one, other = builtin_part(name), builtin_part(name)
     assert np.array_equal(one.mesh.vertices_m, other.mesh.vertices_m)
     assert np.array_equal(one.mesh.faces, other.mesh.faces)
@@ -119,7 +119,7 @@ def test_every_declared_symmetry_maps_the_part_onto_itself(name):
 
 
 def test_the_metal_workpieces_have_no_undeclared_symmetry():
-    """Half turns about the axes and, for the workpieces, quarter turns: none fits undeclared."""
+    """Half turns about the axes, and quarter turns of the workpieces, fit only if declared."""
     bracket, ring = part_of("metal_workpiece_1"), part_of("metal_workpiece_2")
     assert len(bracket.symmetry.discrete) == 1 and len(ring.symmetry.continuous) == 1
     for part, T in [

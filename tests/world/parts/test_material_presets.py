@@ -171,7 +171,7 @@ def test_a_grain_on_a_sphere_is_refused():
 
 
 def test_roughness_along_and_across_grooves_follows_burley_s_formula():
-    """Their product is that of the plain metal, their ratio 1 / (1 - 0.9 anisotropy)."""
+    """The widths have the product of the plain metal and the ratio 1 / (1 - 0.9 anisotropy)."""
     for anisotropy in (0.0, 0.6, 1.0):
         grain = Grain(axis=(1.0, 0.0, 0.0))
         metal = Material(metallic=1.0, roughness=0.3, anisotropy=anisotropy, grain=grain)

@@ -29,7 +29,7 @@ def box():
 
 
 def text_stl(path, *, first=b"solid part", last=b"endsolid part", ends=b"\n"):
-    """Write a box as a text whose first and last line are given."""
+    """Write a box as a text STL with the given first and last line."""
     lines = [first]
     for corners in box().triangles:
         lines += [b"facet normal 0 0 0", b" outer loop"]

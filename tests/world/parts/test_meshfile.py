@@ -102,7 +102,7 @@ def test_a_part_keeps_the_frame_of_its_mesh_file(tmp_path):
 
 @pytest.mark.parametrize("ending", ["obj", "glb"])
 def test_welding_seams_keeps_texture_and_uv_coordinates(tmp_path, ending):
-    """Each corner, located by its position in its face, keeps its uv; the picture its texels."""
+    """Each corner, located by its position in its face, keeps its uv; the texels are equal."""
     mesh, uv, picture = textured_box()
     mesh.export(tmp_path / f"block.{ending}")
     part, findings = load(tmp_path / f"block.{ending}")
@@ -358,7 +358,7 @@ def sparse(path, size):
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "glb"])
 def test_a_huge_mesh_file_is_refused_before_it_is_read(tmp_path, ending):
-    """A sparse file of 10 GB, which would fill the memory."""
+    """The file is sparse and has 10 GB, which would fill the memory."""
     with pytest.raises(MeshError, match=r"has 10000 MB, more than the 400 MB.*decimate"):
         load(sparse(tmp_path / f"part.{ending}", 10_000_000_000))
 
@@ -493,7 +493,7 @@ load_mesh(Path({path!r}), unit="m")
 @pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.1, 0.3, 1.0, 2.0])
 def test_a_batch_system_s_stop_signal_interrupts_the_reading_of_a_large_mesh(tmp_path, delay_s):
-    """Also while the reader itself is imported, which swallows exceptions."""
+    """The signal also works during the import of the reader, which suppresses exceptions."""
     mesh = wavy_ring(490_000)
     shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
     program = READ.format(path=str(exported(shape, tmp_path / "part.stl")))

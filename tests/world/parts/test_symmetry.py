@@ -96,7 +96,7 @@ def test_discrete_and_continuous_symmetries_are_combined():
     np.testing.assert_array_equal(motions(both)[0], np.eye(4))
 
 
-def test_axis_aligned_rotations_number_24():
+def test_there_are_24_axis_aligned_rotations():
     turns = axis_rotations()
     assert len({tuple(R.ravel()) for R in turns}) == 24
     np.testing.assert_allclose(np.linalg.det(turns), 1)

@@ -19,8 +19,11 @@ def separate(
     Under narrow stripes, half of which are lit, each point receives half of the global light `g`,
     and either its full direct light `d` or none, so frames vary from `g / 2` to `d + g / 2`. For a
     phase code these follow from mean and amplitude of the shortest period, for a Gray code from the
-    extremes of the narrow stripes and their inverses. The black frame (or, without one, the offset)
-    is subtracted, as light that does not come from the projector.
+    extremes of the narrow stripes and their inverses. Without inverses, white plus black is the sum
+    of a frame and its inverse, so their difference `d` is twice the frame minus this sum. The mean
+    of the larger half of these differences is less biased by noise than the largest one. The black
+    frame (or, without one, the offset) is subtracted, as light that does not come from the
+    projector.
 
     Leaves out: blur. Stripes that are out of focus or finer than a camera pixel lack contrast, so
     `d` is too low and `g` too high by the same amount. Global light that itself has stripes
@@ -28,7 +31,8 @@ def separate(
     can be below 0.
 
     Raises:
-        DecodeError: the code has neither phases nor narrow stripes with inverses.
+        DecodeError: the code has no phases, and no narrow stripes with inverses or with white and
+            black frames.
 
     Source: S. Nayar, G. Krishnan, M. Grossberg, R. Raskar, "Fast Separation of Direct and Global
     Components of a Scene using High Frequency Illumination", SIGGRAPH 2006.
@@ -41,7 +45,8 @@ def separate(
         shortest = min(periods, key=lambda period: period.period_px)
         comb = code.frames[shortest.frames[0]].kind == "line"
         return _of_phases(frames, shortest, 1 / shortest.period_px if comb else 0.5, comb, unlit)
-    return _of_stripes(frames, _narrow(code), unlit)
+    paired, alone = _narrow(code)
+    return _of_stripes(frames, paired, unlit) if paired else _of_lone_stripes(frames, alone, code)
 
 
 def _of_phases(frames, period: Period, lit: float, comb: bool, unlit):
@@ -63,19 +68,44 @@ def _of_stripes(frames, narrow: list[int], unlit):
     return high - low, 2 * (low - unlit)
 
 
-def _narrow(code: Code) -> list[int]:
-    """Return the frames of narrow stripes that have an inverse, so each pixel is lit in one."""
-    narrow = []
+def _of_lone_stripes(frames, narrow: list[int], code: Code):
+    white, black = _single(frames, code, "white"), _single(frames, code, "black")
+    contrast = np.abs(2 * frames[narrow].astype(np.float32) - white - black)
+    direct = np.sort(contrast, axis=0)[len(narrow) // 2 :].mean(axis=0)
+    return direct, white - black - direct
+
+
+def _single(frames, code: Code, kind: str) -> Float[np.ndarray, "h w"]:
+    (place,) = [k for k, frame in enumerate(code.frames) if frame.kind == kind]
+    return frames[place].astype(np.float32)
+
+
+def _narrow(code: Code) -> tuple[list[int], list[int]]:
+    """Return the frames of narrow stripes with an inverse, and the least narrow without inverse.
+
+    With inverses, each pixel is lit in one of two frames. Without them, the stripes of the largest
+    narrow period and of half of it count, because blur costs them least.
+    """
     bits = {(f.axis, f.bit, f.inverse) for f in code.frames if f.kind == "gray"}
+    paired: list[int] = []
+    alone: dict[int, float] = {}
     for k, frame in enumerate(code.frames):
-        if frame.kind != "gray" or (frame.axis, frame.bit, not frame.inverse) not in bits:
+        if frame.kind != "gray":
             continue
         finest = frame.bit if frame.xor_bit < 0 else min(frame.bit, frame.xor_bit)
-        if 4 * 2**finest * code.stride_px[AXES.index(frame.axis)] <= NARROW_PX:
-            narrow.append(k)
-    if not narrow:
+        period_px = 4 * 2**finest * code.stride_px[AXES.index(frame.axis)]
+        if period_px > NARROW_PX:
+            continue
+        if (frame.axis, frame.bit, not frame.inverse) in bits:
+            paired.append(k)
+        else:
+            alone[k] = period_px
+    kinds = {frame.kind for frame in code.frames}
+    if not paired and not (alone and {"white", "black"} <= kinds):
         raise DecodeError(
             "direct and global light need phases, or stripes with a period of at most "
-            f"{NARROW_PX:g} px with their inverses; the code has neither"
+            f"{NARROW_PX:g} px with their inverses or with white and black frames; the code has "
+            "neither"
         )
-    return narrow
+    widest_px = max(alone.values(), default=0.0)
+    return paired, [k for k, period_px in alone.items() if period_px >= widest_px / 2]

@@ -1,4 +1,4 @@
-"""Files of scanners: reads and writes Graycast's YAML, and reads OpenCV stereo calibrations."""
+"""Read and write scanners as Graycast's YAML files, and read OpenCV stereo calibrations."""
 
 from .opencv import import_opencv, missing_distortions
 from .own import load_scanner, named_scanner, save_scanner, scanner_text

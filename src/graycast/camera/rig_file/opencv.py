@@ -1,4 +1,4 @@
-"""Import of OpenCV stereo calibrations as rigs.
+"""Import OpenCV stereo calibrations as rigs.
 
 Only this module knows OpenCV's convention `X_proj = R X_cam + T`, and converts it to `T_cam_proj`.
 """
@@ -146,7 +146,7 @@ def _device(
 
 
 def _distortion(content: Mapping[str, Any], role: str, path: Path) -> tuple[float, ...]:
-    """Return (k1, k2, p1, p2, k3), which are zeros where the file states no distortion."""
+    """Return (k1, k2, p1, p2, k3); all are 0 if the file states no distortion."""
     key = _find(content, role, path)
     if key is None:
         return (0.0,) * 5

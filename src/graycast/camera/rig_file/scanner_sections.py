@@ -61,7 +61,7 @@ def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:
 
 
 def own_device(scanner: Scanner, sections: ScannerSections, *, name: str) -> Scanner:
-    """Return an additional scanner of a cell with a fixed pattern and raster that its name decides.
+    """Return an additional scanner of a cell, whose name determines its fixed pattern and raster.
 
     A scanner keeps the `fpn_seed` that its section states. A scanner without fixed pattern and
     raster is not changed, so that datasets made by earlier versions can be continued.

@@ -13,11 +13,11 @@ from ...rig.pattern import AXES, Code
 from ..decode import CodeMap, Reason
 from ..decode.plan import plan_axes
 
-# Limits of the probability that a pixel belongs to the adjacent cell. Pixels below the first limit
-# are used; a cell without such pixels uses those below the second.
+# These are limits of the probability that a pixel belongs to the adjacent cell. Pixels below the
+# first are used; a cell without such pixels uses pixels below the second.
 MAX_WRONG, MAX_WRONG_ALONE = 0.02, 0.2
 # The n pixels of a cell scatter about their mean by sqrt(n / 2 pi) if they fill a disc, or more if
-# they fill an ellipse on a slanted surface. Beyond this factor plus offset, surfaces are several.
+# they fill an ellipse on a slanted surface. A larger scatter means that there are several surfaces.
 MAX_SCATTER, SCATTER_PX = 2.0, 0.5
 
 

@@ -1,4 +1,4 @@
-"""Detection of Gray bits in wrong order, or swapped with inverses, by jumps between neighbours."""
+"""Detect Gray bits in wrong order, or swapped with inverses, by jumps between neighbours."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -12,7 +12,7 @@ from ..decode.plan import AxisPlan
 MENDED_OF = 30_000  # Changes of the order are tried on this many pairs.
 # Neighbours are far apart if they differ by this distance, and by this many Gray values.
 FAR_PX, FAR_VALUES = 8.0, 1.5
-# More distant neighbours than the share TORN are a fault; a remedy leaves less than FEWER of them.
+# A larger share of far neighbours than TORN is a fault; a remedy leaves less than FEWER of them.
 TORN, FEWER = 2e-3, 0.5
 LEAST = 50  # Fewer pairs are no evidence.
 
@@ -39,7 +39,7 @@ def bits_fault(
 
 
 def far_px(plan: AxisPlan) -> float:
-    """Return the distance above which neighbours are far apart; adjacent Gray values are not."""
+    """Return the distance above which neighbours are far apart; adjacent Gray values are nearer."""
     return max(FAR_PX, FAR_VALUES * plan.cell_px) if plan.bits else FAR_PX
 
 

@@ -1,4 +1,4 @@
-"""Detection of single phase steps that are brighter or darker than the others of their period."""
+"""Detect single phase steps that are brighter or darker than the others of their period."""
 
 import math
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Detection of inverses that a program computed from the patterns, so that they lack noise."""
+"""Detect inverses that a program computed from the patterns, so that they lack noise."""
 
 import numpy as np
 from jaxtyping import Num
@@ -12,7 +12,7 @@ NEARLY_ALL = 0.99
 # Sums of real pictures differ by the noise of four frames. Even with rounding alone, at most 60 %
 # of the sums would be equal.
 LIT_SHARE = 0.3  # Only pixels with this share of the highest contrast count; dark sums are all 0.
-FEWEST = 200  # The fewest such pixels that are enough.
+FEWEST = 200  # Smallest number of such pixels that is enough.
 
 
 def computed_pairs(frames: Num[np.ndarray, "n h w"], code: Code) -> list[tuple[int, int]]:

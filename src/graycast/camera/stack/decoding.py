@@ -1,4 +1,4 @@
-"""The whole processing of a stack: reading, noise, decoding, triangulation, averaging."""
+"""Process a stack: read pictures, measure noise, decode, triangulate, and average."""
 
 import time
 from collections.abc import Iterator

@@ -168,7 +168,7 @@ class StackDescription(Settings):
     )
 
     def decode_spec(self) -> tuple[DecodeSpec, float | None]:
-        """Return the conditions of decoding, and the stated `max_epipolar_px`, or None for it."""
+        """Return the conditions of decoding, and `max_epipolar_px` or None if it is not stated."""
         settings = self.decode.model_dump()
         limit_px = settings.pop("max_epipolar_px")
         return DecodeSpec(**settings), limit_px
@@ -205,7 +205,7 @@ def describe_code(code: Code, files: Sequence[str]) -> str:
 
 
 def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
-    """Return the text of a stack file with which pictures are decoded as the scanner decodes them.
+    """Return the text of a stack file that decodes pictures as the scanner decodes them.
 
     It states sensor levels and thresholds, so that nothing is measured in the pictures.
 

@@ -1,4 +1,4 @@
-"""Detection of faults in stacks that can be decoded all the same, with a measure for each fault."""
+"""Detect faults in stacks that can be decoded nevertheless, with a measure for each fault."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -38,8 +38,7 @@ SOUND = 0.5  # In the right order, more than this share of the well lit pixels i
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
-    """Warnings about a stack, and whether they name a cause that explains all other symptoms,
-    including those of a wrong rig."""
+    """Warnings about a stack, and whether their cause explains all symptoms, even of the rig."""
 
     warnings: tuple[str, ...]
     explained: bool

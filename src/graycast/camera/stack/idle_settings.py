@@ -1,4 +1,4 @@
-"""Detection of settings that have no effect on a stack."""
+"""Detect settings that have no effect on a stack."""
 
 from dataclasses import fields
 

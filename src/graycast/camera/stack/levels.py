@@ -1,4 +1,4 @@
-"""Measurement of offset, saturation and noise of an unknown camera in the stack itself.
+"""Measure offset, saturation and noise of an unknown camera in the stack itself.
 
 Noise is the variation that light does not explain in sums of pairs, in a period, or in a picture.
 """
@@ -59,11 +59,11 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
     - Noise: pattern plus inverse is the same light for every bit, so two such sums differ by the
       noise of four frames. The mean over 15 x 15 pixels is subtracted, which removes drift and the
       effect of gamma on indirect light. Only lit pixels well inside a stripe count. A fit against
-      brightness gives floor and slope. Without inverses, phases serve: the residuals of four or
+      brightness gives floor and slope. Without inverses, phases are used: the residuals of four or
       more steps after mean, cosine and low harmonics, or else the differences between the means of
       two periods. Otherwise a 3 x 3 mask that is blind to planes (Immerkaer) is applied to the
-      smoother half of the white frame, or of the mean of a period's steps. The last resort is a
-      default. See docs/explanation/depth.md, "Real stacks".
+      smoother half of the white frame, or of the mean of a period's steps. Without all of these, a
+      default is used. See docs/explanation/depth.md, "Real stacks".
 
     Values in the stack file take precedence.
 
@@ -246,7 +246,7 @@ def _less_harmonics(
 ) -> Float[np.ndarray, "h w"]:
     """Subtract the harmonics of waves from values, by least squares over all harmonics.
 
-    The size of a harmonic may be proportional to the wave's size, its square or its root.
+    A harmonic's amplitude may be proportional to the wave's amplitude, its square or its root.
     """
     terms = []
     for wave, order in waves:
@@ -283,7 +283,7 @@ def line(
     light_dn: Float[np.ndarray, "*n"],
     square_dn2: Float[np.ndarray, "*n"],
 ) -> tuple[float, float] | None:
-    """Return floor and slope of variance against light, by a line through the bins' means."""
+    """Fit a line through the bins' means; return floor and slope of the variance against light."""
     if len(light_dn) < MIN_IN_BIN:
         return None
     brightest = max(float(np.quantile(light_dn, 0.999)), 1.0)

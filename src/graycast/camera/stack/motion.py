@@ -1,4 +1,4 @@
-"""Detection of motion during a stack: of the camera, the projector, or the scene."""
+"""Detect motion during a stack: of the camera, the projector, or the scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ MOST_NAMED = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """A sudden motion between the frames `before` and `after`, without steady motion."""
+    """A sudden motion between the frames `before` and `after`, minus the steady motion."""
 
     before: int
     after: int
@@ -53,9 +53,9 @@ def stack_motion(sums: Sequence[WhiteSum]) -> StackMotion:
 
     The median motion is steady; a motion far from it is a jump. A jump within a white sum moves
     this sum by a part and the next one by the rest, so two jumps in a row in the same direction are
-    one. If half of the motions or more are far from the median, because the camera shakes or creeps
-    during half of the stack, then the median is no steady motion, and no motion is much larger than
-    the others: the motion is uneven.
+    joined. If half of the motions or more are far from the median, because the camera shakes or
+    creeps during half of the stack, then the median is no steady motion, and no motion is much
+    larger than the others: the motion is uneven.
     """
     steps = displacements(sums)
     if not steps:

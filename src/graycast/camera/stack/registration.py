@@ -1,4 +1,4 @@
-"""Registration of two pictures of a scene: the motion between them, to a fraction of a pixel."""
+"""Register two pictures of a scene: find the motion between them to a fraction of a pixel."""
 
 from dataclasses import dataclass
 

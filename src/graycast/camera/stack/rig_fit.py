@@ -1,4 +1,4 @@
-"""Check of whether a rig fits a stack, or would fit if the pictures, or R and T, were turned.
+"""Check whether a rig fits a stack, or would fit with turned pictures or inverted R and T.
 
 The check uses data that depth does not use. If both axes are coded, this is the other coordinate of
 each pixel. With one axis, it is the edge of the projector's picture across the stripes, if the

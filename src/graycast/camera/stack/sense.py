@@ -1,4 +1,4 @@
-"""Check of the direction and the origin of phases by the Gray code of the same stack.
+"""Check the direction and the origin of phases with the Gray code of the same stack.
 
 If steps are counted backwards, or from another origin, most phases are still in the right Gray cell
 by chance, and are decoded to a wrong position. The edges of the Gray code reveal this.
@@ -228,7 +228,7 @@ def _edges(
 
 
 def _usual(origin: float, steps: int) -> float:
-    """Round an origin to a whole step or a quarter of a period, which are usual, if one is near."""
+    """Round an origin to a near whole step or quarter of a period, which are the usual origins."""
     likely = [round(origin * n) / n for n in (steps, 4)]
     nearest = min(likely, key=lambda value: abs(value - origin))
     return nearest if abs(nearest - origin) <= USUAL_PERIODS else origin

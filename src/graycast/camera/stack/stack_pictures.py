@@ -1,4 +1,4 @@
-"""Reading of a stack's pictures as they were stored; refuses pictures that do not fit together."""
+"""Read a stack's pictures as they were stored, and refuse pictures that do not fit together."""
 
 import hashlib
 import io

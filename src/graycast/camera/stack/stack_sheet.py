@@ -116,7 +116,7 @@ def _draw_bar(ax: Axes, scale: ScalarMappable, label: str) -> None:
 
 
 def _draw_reasons(ax: Axes, result: StackResult, step: int) -> None:
-    """Draw the reasons, with their shares of the lit pixels, as a far background is not lit."""
+    """Draw the reasons with their shares of the lit pixels, because a far background is not lit."""
     reason = (result.codes if result.depth is None else result.depth).reason
     palette = np.array([to_rgb(kind.color) for kind in Reason])
     _show(ax, palette[reason[::step, ::step]])

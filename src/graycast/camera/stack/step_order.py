@@ -1,4 +1,4 @@
-"""Detection of two exchanged pictures of a period: the grey levels are then no sine over the steps.
+"""Detect two exchanged pictures of a period: the grey levels are then no sine over the steps.
 
 With a wrong direction or origin of the steps the levels are still a sine, but seldom after an
 exchange of two pictures out of four or more. An exchange can also look like another origin, or like

@@ -1,7 +1,7 @@
 """Variation of scenes, within a cell's tolerances or at random, with a record of the values.
 
-A cell's `Scene` and a random generator give a record of drawn values in JSON types; cell and record
-give the scene that is dropped and rendered, without randomness.
+`draw` makes a record of random values, in JSON types, from a cell's `Scene` and a generator. `vary`
+makes the scene to drop and render from the cell and the record, without randomness.
 """
 
 from .domain_sections import AdaptedSection, DomainSection, RandomizedSection

@@ -1,4 +1,4 @@
-"""Random values of a domain: all differences of a scene from the cell, as JSON.
+"""Draw the random values of a domain: all differences of a scene from the cell, as JSON.
 
 Each section has its own random stream, so changes of one section do not affect other sections.
 """
@@ -233,7 +233,7 @@ def views(scene: Scene) -> tuple[_Cone, ...]:
 
 
 def _widest_rad(lens: Optics) -> float:
-    """Return the angle between the axis and the corner that is farthest from it."""
+    """Return the angle [rad] between the lens's axis and the picture corner farthest from it."""
     x, y = (np.array([-0.5, n - 0.5]) for n in (lens.width_px, lens.height_px))
     corner = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return float(np.arctan(np.nanmax(np.linalg.norm(rays(lens, corner)[:, :2], axis=-1))))
@@ -286,7 +286,7 @@ def _log_uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
 
 
 def _off(rng: np.random.Generator, most: float, n: int) -> list[float]:
-    """Draw a value that is uniform between minus and plus a tolerance."""
+    """Draw `n` values, each uniform between `-most` and `most`."""
     return rng.uniform(-most, most, n).tolist()
 
 

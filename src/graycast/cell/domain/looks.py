@@ -1,4 +1,4 @@
-"""Colours and surfaces that follow from random values."""
+"""Convert random values to colours and materials."""
 
 import colorsys
 from collections.abc import Mapping, Sequence
@@ -49,7 +49,7 @@ def retouched(
     metallic: float = 0.0,
     tint: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Material:
-    """Return a material that is somewhat brighter, rougher or more metallic.
+    """Return a material with changed reflectance, roughness and metallic.
 
     `brightness` is a factor for all reflectances, `tint` a further factor for each band except the
     projector's; in a texture, they multiply the linear value of each texel. Reflectance is clipped

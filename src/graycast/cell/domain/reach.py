@@ -16,7 +16,7 @@ _AZIMUTHS = 37  # Over a whole turn, steps of 10 degrees miss up to 0.4 % of the
 
 
 def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) -> float:
-    """Return the largest z, in the camera frame, of a corner of the bin in this domain [m]."""
+    """Return the largest z [m], in the camera frame, that the bin's corners have in this domain."""
     corner_m = np.array(list(itertools.product(*bin_of(scene).bounds_m.T)))
     if isinstance(section, AdaptedSection):
         return _within_tolerances(section, scene, corner_m)
@@ -31,7 +31,7 @@ def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) 
 
 
 def _hung(section: RandomizedSection, scene: Scene) -> Iterator[Float[np.ndarray, "4 4"]]:
-    """Yield `T_world_cam` at the range ends: farthest, most tilted, and at several azimuths."""
+    """Yield `T_world_cam` at the ends of the ranges: farthest, most tilted, at several azimuths."""
     camera = section.camera
     assert camera is not None
     for tilt_deg, roll_deg, azimuth_deg in itertools.product(

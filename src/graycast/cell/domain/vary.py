@@ -1,4 +1,4 @@
-"""The scene that follows from a cell and a record of drawn values, without randomness.
+"""Make a scene from a cell and a record of random values; this step is not random.
 
 Values that are not in the record come from the cell, so the record is complete.
 """
@@ -58,7 +58,7 @@ def vary(domain: Domain, scene: Scene, counts: tuple[int, ...], record: Record) 
 
 
 def moved_place(scene: Scene, record: Record, scanner: str) -> Float[np.ndarray, "4 4"]:
-    """Return `T_world_cam` of a scanner in a record's world.
+    """Return the `T_world_cam` of a scanner with the deviations of a record.
 
     Args:
         scene: the cell in front of this scanner, as configured.
@@ -124,7 +124,7 @@ def _tolerated(
 
 
 def _world_of(box: Record) -> Float[np.ndarray, "4 4"] | None:
-    """Return the inverse of the bin's movement, so that the world stays on the bin's floor."""
+    """Return the inverse of the bin's motion (the world is fixed to the bin); None if it is 0."""
     if not any(box["offset_m"]) and not box["turn_rad"]:
         return None
     return inverse(rigid(axis_rotation("z", box["turn_rad"]), np.array([*box["offset_m"], 0.0])))
@@ -192,7 +192,7 @@ def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
 
 
 def moved_rig(scene: Scene, values: Record) -> Float[np.ndarray, "4 4"]:
-    """Turn the rig about its target; tilt and azimuth add to the angles of `rig.place`."""
+    """Return `T_world_cam` of the rig moved about its target; angles add to those of `place`."""
     T_cam_rig = frame_in_camera(scene.rig)
     T_world_rig = scene.T_world_cam @ T_cam_rig
     rotation, middle = T_world_rig[:3, :3], T_world_rig[:3, 3]
@@ -209,7 +209,7 @@ def moved_rig(scene: Scene, values: Record) -> Float[np.ndarray, "4 4"]:
 def _aim_point(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.ndarray, "3"]:
     """Return where the rig's axis meets the plane at a third of the bin's height, its usual target.
 
-    If the rig does not look down at that plane, return the point where its axes are closest.
+    If that plane is beyond twice the rig's far limit, return the point where its axes are closest.
     """
     middle, axis = T_world_rig[:3, 3], T_world_rig[:3, 2]
     drop_m = bin_of(scene).inner_m[2] / 3 - middle[2]

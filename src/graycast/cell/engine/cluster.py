@@ -19,7 +19,7 @@ _AHEAD = 2  # scenes submitted per place: no worker waits, and few finished scen
 
 
 class RayPool:
-    """A pool of Ray tasks. The scenes' files return to this process, so no disk need be shared.
+    """A pool of Ray tasks. The scenes' files return to this process, so no shared disk is needed.
 
     Files that the cell names by path (environment maps) must be readable on every machine.
     """

@@ -20,7 +20,7 @@ from ..simulate import Shot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskResult:
-    """A made scene: files as (path in its folder, content), seconds, shares of pixels per reason.
+    """The result of a scene: files as (path in its folder, content), seconds, shares per reason.
 
     `reason_px` counts all pixels per reason over all images, and `part_reason_px` only the pixels
     that see parts. For a robot's bin, `reasons` are counts of attempts per outcome. `rss_bytes` is
@@ -108,9 +108,9 @@ class TaskRunner(Protocol):
 class Job:
     """A task that can be sent to a worker, which opens it to make its scenes.
 
-    `device` exists on this machine: 'auto' was resolved before, so that all workers use the same
-    device; only for a cluster may it be 'auto'. `graycast` is the release. `RUNNER` is called with
-    the job and the arguments of `open`.
+    `device` exists on this machine. 'auto' is resolved beforehand, so that all workers use the
+    same device; only a job for a cluster may have 'auto'. `graycast` is the release. `RUNNER` is
+    called with the job and the arguments of `open`.
     """
 
     RUNNER: ClassVar[Callable[..., TaskRunner]]

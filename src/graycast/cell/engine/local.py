@@ -120,7 +120,7 @@ class _Worker:
         self._process: BaseProcess | None = None
 
     def submit(self, scene_id: int) -> None:
-        # It is busy before it gets the scene, so that a run stopped meanwhile does not wait for it.
+        # The flag is set before the scene is sent, so that `close` kills the process in any case.
         self._scene_id, self.busy = scene_id, True
         if self.connection is None or not self._send(scene_id):
             self.stop()  # The process was killed while idle.
@@ -151,7 +151,7 @@ class _Worker:
         return True
 
     def result(self) -> TaskResult | Failed:
-        """Return the result of the finished scene; replace a worker that failed unexpectedly."""
+        """Wait for the scene's result and return it; end a process that failed unexpectedly."""
         if self.connection is None or self._process is None or not self.busy:
             raise RuntimeError("nothing was submitted")
         error: Exception
@@ -165,7 +165,7 @@ class _Worker:
             error = unreadable
             self.end()
         else:
-            self.busy = False  # Only here does the process become idle.
+            self.busy = False  # The process becomes idle only here.
             self.scenes += 1
             if isinstance(outcome, TaskResult):
                 return outcome
@@ -200,9 +200,9 @@ def _obituary(code: int | None) -> str:
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, because their parent ends them.
+    """Block Ctrl-C for processes that start in the block, because their parent ends them.
 
-    The signal is blocked, not ignored: processes inherit the mask; Ctrl-C works afterwards.
+    The processes inherit the signal mask, and the parent's own mask is restored at the end.
     """
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -213,7 +213,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Set variables for processes that start in the block; the user's own settings win."""
+    """Set variables for processes that start in the block; the user's settings take precedence."""
     shared_out = ("TMPDIR", "CUDA_VISIBLE_DEVICES")
     added = {k: v for k, v in variables.items() if k in shared_out or k not in os.environ}
     before = {name: os.environ.get(name) for name in added}

@@ -1,4 +1,4 @@
-"""The work of a worker: scenes of one task, from their seeds to the bytes of their files."""
+"""Make the scenes of one task in a worker, from their seeds to the bytes of their files."""
 
 import time
 from collections import Counter

@@ -12,7 +12,7 @@ from ...dataset.set_aside import SetAside
 from .job import Job, TaskResult, is_foreseen, is_the_scenes_own
 
 TRIES = 3
-# If this many scenes are lost in a row, besides scenes in progress, the machine is faulty.
+# If this many scenes, in addition to those in progress, are lost in a row, the machine is faulty.
 _IN_VAIN = 10
 
 

@@ -47,7 +47,7 @@ class Workers:
             )
 
     def device(self, backend: str, wanted: str) -> str:
-        """Return the device of all workers; for 'auto', each machine of a cluster chooses.
+        """Return the device of all workers; on a cluster, 'auto' lets each machine choose its own.
 
         Raises:
             DeviceError: this machine has no such device.

@@ -2,12 +2,12 @@
 
 An image is the files KEY.rgb.png (or KEY.gray.tiff), KEY.depth.png, KEY.camera.json, KEY.gt.json,
 KEY.gt_info.json, KEY.mask.json and KEY.mask_visib.json. Masks are run lengths by the instance's
-place in `gt`. Shards keep the order of the scenes, which are independent draws, so that reading
-them one after another is random enough.
+index in `gt`. Shards keep the order of the scenes. The scenes are independent of each other, so a
+program may read them in this order and still see random scenes.
 
-BOP's pixel (0, 0) is the centre of the top-left pixel. bop_toolkit's renderers put it at that
-pixel's corner: their projection sends a point to x = fx X/Z + cx of a window in which the centre of
-pixel k lies at k + 1/2. For them, `pixel_origin="corner"` adds half a pixel to cx and cy.
+BOP's pixel (0, 0) is the centre of the top-left pixel. In bop_toolkit's renderers it is that
+pixel's corner: they project a point to x = fx X/Z + cx, and the centre of pixel k is at k + 1/2.
+For these renderers, `pixel_origin="corner"` adds half a pixel to cx and cy.
 
 Source: the documented layout of bop_toolkit's `dataset/bop_webdataset.py`.
 """

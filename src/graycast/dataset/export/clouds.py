@@ -1,7 +1,7 @@
-"""Export coloured point clouds of the perfect and of the simulated scanner, one file each.
+"""Export coloured point clouds from perfect and from scanner depth, in one file each.
 
-Points are metres in the camera frame. A lens with distortion is taken into account: a point lies
-on its pixel's true ray. The scanner's points have `p_wrong` if the dataset has it.
+Points are in metres in the camera frame. Each point is on the ray of its pixel, for which the
+distortion of the lens is corrected. The scanner's points have `p_wrong` if the dataset has it.
 """
 
 from collections.abc import Iterable, Mapping
@@ -48,7 +48,7 @@ def pcd_bytes(
     more: Mapping[str, np.ndarray],
     width_px: int | None,
 ) -> bytes:
-    """Return a binary PCD 0.7 of the Point Cloud Library, whose colour is one packed field `rgb`.
+    """Return a binary PCD 0.7 file of the Point Cloud Library, with colour packed in a field `rgb`.
 
     Each entry of `more` is a further field of the points, in single precision.
 

@@ -19,7 +19,7 @@ _SOME = 3  # An error names at most this many keys.
 
 
 class Selection(Record):
-    """A file of scenes (`train-000003`) and their tags, saved on the report's page."""
+    """A file of scenes (`train-000003`) and their tags that a user saved on the report's page."""
 
     kind: Literal["graycast-scenes"]
     dataset: str

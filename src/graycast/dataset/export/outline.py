@@ -3,11 +3,11 @@
 Pixel (0, 0) covers [0, 1] x [0, 1], as in COCO and YOLO: the origin is the image's corner, half a
 pixel before the origin that the rest of this package uses.
 
-Outlines run a sixteenth of a pixel inside the borders. Programs that count the pixels inside an
-outline (pycocotools) still recover the same mask. Programs that truncate coordinates and also
-paint the outline (OpenCV's `fillPoly`, hence Ultralytics) now recover it, too; on the borders,
-they would make a mask one pixel wider on the right and at the bottom. Programs that round, or
-scale first, still make it wider.
+Outlines are inset by a sixteenth of a pixel. Programs that count the pixels inside an outline
+(pycocotools) still recover the same mask. Programs that truncate coordinates and also paint the
+outline (OpenCV's `fillPoly`, hence Ultralytics) recover it, too; without the inset, they would make
+a mask one pixel wider on the right and at the bottom. Programs that round coordinates, or scale
+them first, still make it wider.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ _ALONG = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # The inside is on the ri
 
 
 INSET_PX = 1 / 16  # A binary fraction below 0.1, since pycocotools rounds to fifths
-_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # Each direction has its inward normal here.
+_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # These are the directions' inward normals.
 
 
 def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
@@ -50,7 +50,7 @@ def _edges(
 ) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, " e"], Int[np.ndarray, " e"]]:
     """Return the border sides of pixels: start (x, y), direction, and index of the next side.
 
-    At a corner that two pixels share, the border follows its own pixel: it turns right.
+    Where two pixels share only a corner, the border turns right, so that it stays at its own pixel.
     """
     height, width = mask.shape
     padded = np.pad(mask, 1)
@@ -74,7 +74,7 @@ def _edges(
 
 
 def path(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "_ 2"]:
-    """Return one closed path around a mask; cuts that run both ways join its pieces and holes.
+    """Return one closed path around a mask; cuts, followed in both directions, join its pieces.
 
     A cut has no area, so a reader that counts crossings recovers the mask. A reader that also
     paints outlines (OpenCV's `fillPoly`) draws a cut between two pieces as a line of one pixel.

@@ -20,8 +20,8 @@ class Split:
     """Fractions of the scenes that go to train, val and test.
 
     The set of a scene depends only on the seed and the scene's id, so it is the same in every
-    format and when the dataset grows. Multiples of the golden ratio, shifted by the seed, fill
-    the circle evenly: of up to 5000 consecutive scenes, each set gets its share to within four.
+    format and when the dataset grows. Multiples of the golden ratio modulo 1, shifted by the seed,
+    are spread evenly: among up to 5000 consecutive scenes, each set has its share to within four.
     The choice need not be random, because the scenes of a dataset are independent.
 
     Source: Knuth, "The Art of Computer Programming", vol. 3, section 6.4 (Fibonacci hashing).
@@ -47,7 +47,7 @@ class Split:
         return "train" if at < train else "val" if at < train + val else last
 
     def least(self) -> int:
-        """Return the number of scenes, from id 0, that gives every set with a share a scene."""
+        """Return the least number of scenes, from id 0, for which no set with a share is empty."""
         wanted = {name for name, share in zip(NAMES, self.shares, strict=True) if share > 0}
         for scene_id in count():
             wanted.discard(self.place(scene_id))
@@ -56,7 +56,7 @@ class Split:
         return scene_id + 1
 
     def assign(self, image_ids: Iterable[int], *, images: int = 1) -> dict[str, list[int]]:
-        """Return the pictures of each set with a share, in order; a scene is never divided.
+        """Return the pictures of each set with a share, in order; a scene's pictures stay together.
 
         Args:
             image_ids: numbers of pictures; each scene has `images` of them.

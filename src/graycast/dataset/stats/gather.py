@@ -31,8 +31,8 @@ _QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 class ErrorFigures:
     """Errors of depth (scanner minus perfect) over the pixels that have both [mm].
 
-    `sigma_mm` is half the width of the middle 68.27 %, which outliers hardly change; they do change
-    `rms_mm`. All figures are NaN if no pixel has both depths.
+    `sigma_mm` is half the width of the interval that contains the middle 68.27 % of the errors.
+    Outliers change `rms_mm` but hardly `sigma_mm`. All figures are NaN if no pixel has both depths.
     """
 
     pixels: int
@@ -244,7 +244,7 @@ def _add(sums: _Sums, figures: SceneFigures) -> None:
         own = getattr(figures, name)
         if figures.depth_scale_mm == sums.scale_mm:
             counts[name].update(own)
-        else:  # Scenes of real pictures may have other steps.
+        else:  # Scenes of real pictures may differ in depth scale.
             ratio = figures.depth_scale_mm / sums.scale_mm
             for step, count in own.items():
                 counts[name][round(step * ratio)] += count

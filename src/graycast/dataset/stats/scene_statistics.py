@@ -9,7 +9,7 @@ from ..scene_content import SceneContent
 
 DEPTH_BIN_MM = 10.0
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
-ERROR_LIMIT_STEPS = 20000  # Larger errors count as this: 2 m in steps of 0.1 mm.
+ERROR_LIMIT_STEPS = 20000  # Larger errors are clipped: 20000 steps of 0.1 mm are 2 m.
 
 
 class SceneFigures(BaseModel):

@@ -75,7 +75,7 @@ def open_foreign(path: Path) -> Foreign:
 
 
 class _Entry(BaseModel):
-    """An entry of a list; its fields describe what the keys must hold."""
+    """An entry of a COCO list; error messages use the descriptions of its fields."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True, allow_inf_nan=False)
 
@@ -248,7 +248,7 @@ class _View(AnyView):
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """An image of a scene; `perfect` holds its pixels without a scanner's errors, or is None."""
+    """An image of a scene; `perfect` is the folder of its error-free pictures, or None."""
 
     scene: SceneFolder
     image: int
@@ -283,7 +283,7 @@ def _open_bop(path: Path) -> Foreign:
 
 
 def _bop_example(place: tuple[_Place, ...], number: int) -> Example:
-    """Return an example: BOP's only depth serves as both kinds of depth; a rescan has both."""
+    """Return an example; `depth_m` equals the scanner depth unless there is a perfect depth."""
     scene, image, perfect = place[number].scene, place[number].image, place[number].perfect
     try:
         poses = scene.of_instances("scene_gt", image, AnyPose)

@@ -27,7 +27,7 @@ def picture(data: bytes, name: str) -> np.ndarray:
 
 
 def image_fields(kind: str, image: np.ndarray, name: str) -> dict[str, UInt8[np.ndarray, "..."]]:
-    """Return a picture by the name of its field in `Example`, which equals the picture's kind."""
+    """Return a picture under the name of its field in `Example`, which is the picture's kind."""
     if (image.ndim == 3) != (kind == "rgb") or image.dtype != np.uint8:
         raise DatasetError(f"{name}: is {image.dtype} {image.shape}, not 8-bit {kind}")
     return {kind: np.ascontiguousarray(image[..., ::-1]) if kind == "rgb" else image}

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...base.errors import DatasetError
 from ..example import Example
-from ..export.parquet import schema  # If pyarrow is missing, this names the remedy.
+from ..export.parquet import schema  # If pyarrow is missing, this import's error names the remedy.
 from ..export.record import ExportRecord
 from .from_bytes import DEPTH_FIELDS, depth_m, image_fields, masks, picture
 

@@ -16,7 +16,7 @@ from ..export.record import ExportRecord
 from .from_bytes import DEPTH_FIELDS, boxes, depth_m, image_fields, masks, picture
 
 Files = Mapping[str, bytes]
-Place = tuple[Path, int, int]  # They are file, offset and length of a member.
+Place = tuple[Path, int, int]  # These are the file, offset and length of a tar member.
 
 
 def open_bop_shards(

@@ -23,8 +23,8 @@ from .foreign import Foreign, is_foreign, open_foreign
 
 ReadOne = Callable[[int], Example]
 
-# Editors learn the type of the examples from this base class. At run time it is plain, because a
-# run-time check of types would read an example from its files.
+# This base class declares the type of the examples for editors. At run time it has no item type,
+# because a run-time type check would read an example from its files.
 if TYPE_CHECKING:
     _Sequence = Sequence[Example]
 else:

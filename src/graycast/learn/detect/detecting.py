@@ -213,7 +213,7 @@ def pictures_of(
 
 
 def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], dict[str, Any]]:
-    """Return the scenes of a set of a dataset or export, or of all sets; and a record of them."""
+    """Return the examples of one set, or of all sets (`all`), and a record of this choice."""
     if (folder / RECORD).is_file():
         splits = read_record(folder).splits if split == "all" else (split,)
         record: dict[str, Any] = {"split": None if split == "all" else split, "division": None}

@@ -30,7 +30,7 @@ _LEVELS = ("0", "1", "2", "3")
 _ANCHOR_PX = (16, 32, 64, 128, 256)
 _PROPOSALS = {"training": 1000, "testing": 1000}
 _MOST = 300
-_HIDDEN_SHARE = 0.5  # An anchor is no negative if more than this share lies in an ignored box.
+_HIDDEN_SHARE = 0.5  # An anchor with a larger share inside an ignored box is not a negative.
 
 
 @final

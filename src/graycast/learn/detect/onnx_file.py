@@ -94,7 +94,7 @@ def _noise(detector: Detector, seed: int) -> Tensor:
 
 
 def _compare(session, model: Callable[[Tensor], tuple[Tensor, ...]], image: Tensor) -> None:
-    """Check that both give equal detections; those near the lowest score may differ."""
+    """Check that onnxruntime and torch give equal detections, except near the lowest score."""
     with torch.no_grad():
         box, _, score = (each.numpy() for each in model(image)[:3])
     try:

@@ -34,7 +34,7 @@ _HISTORY, _CURVES = "history.csv", "curves.png"
 
 Row = dict[str, float | int]
 
-# Readers see these names of curves; the names of all other terms are plain words already.
+# These are the labels of the curves; the names of all other terms are plain words already.
 _TERMS = {
     "loss": "sum",
     "loss_classifier": "class",

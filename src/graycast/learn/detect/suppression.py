@@ -17,7 +17,7 @@ def best_boxes(
     least_score: float,
     size_px: tuple[int, int],
 ) -> NetworkOutput:
-    """Return boxes, cut to the picture, that no better box of their class overlaps much.
+    """Return the boxes that remain after suppression within each class, clipped to the picture.
 
     Args:
         box: candidate boxes, each for every class.

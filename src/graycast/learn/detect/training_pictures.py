@@ -221,7 +221,7 @@ def _augmented(
     how: Augmentation,
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, "c h w"], _Labelled]:
-    """Return a random augmentation, whose random numbers do not depend on the picture."""
+    """Return an augmented picture and its labels; random numbers do not depend on the picture."""
     flip_x, flip_y = rng.random(2) < 0.5
     zoom = how.zoom ** rng.uniform(-1, 1)
     at_x, at_y = rng.random(2)

@@ -118,7 +118,7 @@ class Yolov3(Network):
 
 @final
 class _Neck(nn.Module):
-    """A feature pyramid from the coarsest map down; each map is upsampled and joined to a finer."""
+    """A feature pyramid from the coarsest map down; upsampled maps are joined to finer ones."""
 
     def __init__(self, inside: tuple[int, ...], widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -211,7 +211,7 @@ def _owners(
     at_centre: Bool[Tensor, "anchors n"],
     kind: Bool[Tensor, " n"],
 ) -> Int64[Tensor, " anchors"]:
-    """Return the index of each anchor's owner of a kind, -1 for none; of two, the later one."""
+    """Return which instance of a kind owns each anchor: the last one if several do, -1 if none."""
     nobody = torch.full((len(overlap),), -1, device=overlap.device)
     if not kind.any():
         return nobody

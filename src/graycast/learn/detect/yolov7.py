@@ -24,7 +24,7 @@ from .suppression import best_boxes
 PUBLISHED_PX = 640  # The library's anchors are for pictures of this side.
 # Only cells within this many cells of an instance's centre, along both axes, may own the instance.
 REACH = 1.5
-# The cross-entropy of this logit against "nothing here" is zero in single precision.
+# In single precision, this logit has no cross-entropy with the label "no object".
 SILENT = -100.0
 
 

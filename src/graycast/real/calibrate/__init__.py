@@ -1,4 +1,4 @@
-"""Calibration of a rig from pictures of a board; the projector counts as an inverse camera."""
+"""Calibration of a rig from pictures of a board; the projector is treated as an inverse camera."""
 
 from .board import parse_board
 from .calibration import calibrate_rig, describe_calibration

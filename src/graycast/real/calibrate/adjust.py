@@ -1,4 +1,4 @@
-"""Bundle adjustment: both devices, the pose between them and every board's pose in one fit."""
+"""Bundle adjustment: one fit of both devices, the pose between them and the poses of all boards."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -21,10 +21,10 @@ NO_FIT = (
     "no camera and projector fit these views: decode each stack with graycast rig decode to see "
     "whether its code is right, and show the board in more different directions"
 )
-OUTLIER = 6.0  # A corner with a residual above this many medians is wrong, not just inexact.
+OUTLIER = 6.0  # A corner whose residual exceeds this many medians is an outlier.
 RADIAL = ("k1", "k2", "k3")
 DETERMINED = 5.0  # A device's last radial term must differ from 0 by this many standard deviations.
-OUTLIER_FLOOR_PX = 0.05  # A smaller median counts as this, so that no good corner is an outlier.
+OUTLIER_FLOOR_PX = 0.05  # least median in that rule, so that no good corner is an outlier
 LEAST_OF_VIEW = 4  # Fewer corners do not determine the pose of the board.
 
 
@@ -50,14 +50,14 @@ def joined(parts: Sequence[Observations]) -> Observations:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adjustment:
-    """Outcome of the fit. Residuals are (x, y), measured minus predicted, of every observation.
+    """Result of the fit. Residuals are measured minus predicted positions (x, y) of observations.
 
-    `residual_px` has the residuals, the projector's without the camera's share, and `sigma_px`
-    their standard deviation in each device. `inlier` says which observations the fit rests on.
-    `deviation` is the standard deviation of each fitted number: "camera.fx_px", "projector.k1",
-    "T_proj_cam.x_m", "baseline_m". `undetermined` has the radial terms that are 0
-    because the corners do not distinguish them from 0: each term's value before that, and its
-    standard deviation.
+    `residual_px` has the residuals in camera and projector, the latter without the camera's share
+    (see `adjust`), and `sigma_px` their standard deviation in each device. `inlier` is a mask of
+    the observations that were fitted. `deviation` has the standard deviation of each fitted number,
+    such as "camera.fx_px", "projector.k1", "T_proj_cam.x_m" or "baseline_m". `undetermined` has the
+    radial terms that were set to 0 because they do not differ significantly from 0, each with its
+    previous value and standard deviation.
     """
 
     camera: Optics
@@ -75,12 +75,11 @@ class Adjustment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stands:
-    """Outcome of a fit in which each group of views has its own pose between the devices.
+    """Result of a fit in which each group of views has its own pose between the devices.
 
-    A stand is a pose between the devices: `number` holds its six unknowns, `information` the
-    inverse of their covariance if the lenses are known. `residual_px` has the residuals of every
-    observation in the camera and, without the camera's share, in the projector; `sigma_px` is their
-    standard deviation in each device.
+    A stand is a pose between the devices. `number` has its six unknowns, and `information` is the
+    inverse of their covariance if the lenses are known. `residual_px`, `inlier` and `sigma_px` are
+    defined as in `Adjustment`.
     """
 
     T_cam_proj: Float[np.ndarray, "stands 4 4"]
@@ -101,13 +100,15 @@ def adjust(
 ) -> Adjustment:
     """Fit all unknowns by weighted least squares, each device weighted by its own residuals.
 
-    The projector's coordinate is read at the place where the camera found the corner, so an error
-    of that place is in both residuals; it is first removed from the projector's. The rest of the
-    projector's residual is the code's own error, often far smaller: it ties the devices together.
-    The start is Zhang's calibration of each device alone (OpenCV). Corners beyond six times
-    the median residual are left out once and the rest is fitted again. Then, as long as a device's
-    last radial term is less than 5 standard deviations from 0, that term is 0 and the rest is
-    fitted once more: a term fitted to noise bends the picture where no corner was seen.
+    The projector position of a corner is read at the corner's position in the camera's picture, so
+    an error of that position is in both residuals. It is subtracted from the projector's residual.
+    The rest is the error of the code, which is often far smaller, so that the projector's residuals
+    determine the pose between the devices precisely.
+
+    The start is Zhang's calibration of each device alone (OpenCV). Corners beyond six times the
+    median residual are left out once, and the rest is fitted again. Then, while the last radial
+    term of a device is less than 5 standard deviations from 0, it is set to 0 and the rest is
+    fitted again, because a term fitted to noise distorts regions without corners.
 
     Source: Z. Zhang, "A flexible new technique for camera calibration", TPAMI 2000; B. Triggs et
     al., "Bundle adjustment - a modern synthesis", 2000.
@@ -148,13 +149,13 @@ def adjust_stands(
     radial_terms: int,
     tangential: bool,
 ) -> Stands:
-    """Fit as `adjust` does, but with a pose between the devices for each group of views.
+    """Fit like `adjust`, but with a separate pose between the devices for each group of views.
 
     Args:
         stand: the group of each view, counted from 0.
 
     Raises:
-        CalibrationError: nothing fits.
+        CalibrationError: the fit does not converge.
     """
     stands = int(stand.max()) + 1
     free = _free(radial_terms, tangential, poses=stands + len(stand))
@@ -171,7 +172,7 @@ def adjust_stands(
 
 
 def _information(jacobian, view, stand) -> Float[np.ndarray, "stands 6 6"]:
-    """Return the information on each stand, given that the poses of its boards are unknown."""
+    """Return each stand's information matrix after elimination of the board poses."""
     stands = int(stand.max()) + 1
     total = np.zeros((stands, 6, 6))
     rows = jacobian.reshape(len(view), 4, -1)
@@ -185,18 +186,18 @@ def _information(jacobian, view, stand) -> Float[np.ndarray, "stands 6 6"]:
 
 
 def _robust_fit(start, free, obs: Observations, stand):
-    """Return a mask of the corners that agree with a first fit, these corners, and their fit."""
+    """Fit all corners, then only the inliers; return their mask, the inliers and the second fit."""
     fitted, *_ = _fit(start, free, obs, stand)
     size = np.linalg.norm(_independent(_residuals(fitted, obs, stand), obs), axis=2)
     inlier = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
-    # A view with only outliers would have no pose, so its corners stay until the caller removes it.
+    # A view with too few inliers has no pose, so all corners are fitted until a caller removes it.
     whole = np.bincount(obs.view, weights=inlier).min() >= LEAST_OF_VIEW
     good = obs.only(inlier) if whole else obs
     return inlier, good, _fit(fitted, free, good, stand)
 
 
 def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
-    """Return index, value and deviation of each device's last radial term if not significant."""
+    """Return each device's last radial term if it is not significant: index, value, deviation."""
     deviation = _deviations(fitted, free, jacobian)
     loose = {}
     for first, device in ((0, "camera"), (len(DEVICE), "projector")):
@@ -211,7 +212,7 @@ def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
     return loose
 
 
-# The unknowns are camera (9), projector (9), T_proj_cam (6) of each stand, then T_cam_board (6) of
+# Order of the unknowns: camera (9), projector (9), T_proj_cam (6) of each stand, T_cam_board (6) of
 # each view. `stand[k]` is the stand of view k; views of one stand share one T_proj_cam.
 
 
@@ -230,7 +231,7 @@ def _free(radial_terms: int, tangential: bool, *, poses: int) -> Bool[np.ndarray
 
 
 def _residuals(unknown, obs: Observations, stand) -> Float[np.ndarray, "n 2 2"]:
-    """Return measured minus predicted (x, y) [px] of every corner, in camera and projector."""
+    """Return measured minus predicted (x, y) [px] of all corners in camera and projector."""
     camera, projector, T_proj_cam, T_cam_board = _unpack(unknown, stand)
     T, between = T_cam_board[obs.view], T_proj_cam[stand[obs.view]]
     in_cam = np.einsum("nij,nj->ni", T[:, :3, :3], obs.point_m) + T[:, :3, 3]
@@ -242,19 +243,19 @@ def _residuals(unknown, obs: Observations, stand) -> Float[np.ndarray, "n 2 2"]:
 
 
 def _independent(residual, obs: Observations) -> Float[np.ndarray, "n 2 2"]:
-    """Return the residuals, with the camera's share subtracted from the projector's."""
+    """Return the residuals after subtracting the camera's share from the projector's residuals."""
     carried = np.einsum("nij,nj->ni", obs.per_camera_px, residual[:, 0])
     return np.stack([residual[:, 0], residual[:, 1] - carried], axis=1)
 
 
 def _image(device, point_m):
-    """Project points with nine numbers of a device; unlike `optics.project`, also past the fold."""
+    """Project points; unlike `optics.project`, accept rays at which the distortion folds back."""
     ideal = point_m[:, :2] / point_m[:, 2:]
     return distort(ideal, tuple(device[4:])) * device[:2] + device[2:4]
 
 
 def _fit(start, free, obs: Observations, stand):
-    """Return the unknowns, the Jacobian of the residuals in standard deviations, and the latter."""
+    """Return the fitted unknowns, the Jacobian of residuals divided by sigma, and sigma [px]."""
     sigma_px, unknown = np.ones(2), start
 
     def errors(free_values):
@@ -272,13 +273,13 @@ def _fit(start, free, obs: Observations, stand):
                 x_scale="jac",
                 max_nfev=MOST_STEPS,
             )
-        except (ValueError, np.linalg.LinAlgError) as error:  # Numbers may be infinite or NaN.
+        except (ValueError, np.linalg.LinAlgError) as error:  # Values may be infinite or NaN.
             raise CalibrationError(NO_FIT) from error
         unknown = unknown.copy()
         unknown[free] = outcome.x
         sigma_before = sigma_px
         squares = np.square(errors(outcome.x) * sigma_px[:, None]).mean(axis=(0, 2))
-        lost = 1 - free.sum() / (4 * len(obs.view))  # fitted unknowns absorb part of the scatter
+        lost = 1 - free.sum() / (4 * len(obs.view))  # Fitted unknowns absorb part of the scatter.
         sigma_px = np.maximum(np.sqrt(squares / lost), 1e-6)
         if np.abs(sigma_px / sigma_before - 1).max() < 0.02:
             break
@@ -289,7 +290,7 @@ def _fit(start, free, obs: Observations, stand):
 
 
 def _jacobian(errors, values, view, stand) -> Float[np.ndarray, "rows unknowns"]:
-    """Return central differences; poses of one kind vary together, as each moves its own views."""
+    """Return central differences; poses of one kind vary at once, as each affects other views."""
     step = 1e-6 * np.maximum(np.abs(values), 1e-2)
     views, stands = len(stand), int(stand.max()) + 1
     shared = len(values) - 6 * (stands + views)
@@ -311,8 +312,8 @@ def _jacobian(errors, values, view, stand) -> Float[np.ndarray, "rows unknowns"]
 
 
 def _deviations(unknown, free, jacobian) -> dict[str, float]:
-    """Return standard deviations of the devices and their pose, from the inverse normal matrix."""
-    scale = np.linalg.norm(jacobian, axis=0)  # the unknowns' units differ by orders of magnitude
+    """Return standard deviations of the devices' numbers, from the inverse normal matrix."""
+    scale = np.linalg.norm(jacobian, axis=0)  # Units of the unknowns differ by orders of magnitude.
     unit = jacobian / scale
     covariance = np.linalg.pinv(unit.T @ unit) / np.outer(scale, scale)
     names = [f"camera.{name}" for name in DEVICE] + [f"projector.{name}" for name in DEVICE]
@@ -341,7 +342,7 @@ def _optics(device, size_px: tuple[int, int]) -> Optics:
 def poses_between(
     obs: Observations, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> Float[np.ndarray, "views 4 4"]:
-    """Return `T_proj_cam` of each view, from separate calibrations of the devices."""
+    """Return `T_proj_cam` of each view when each device is calibrated alone."""
     T_cam_board = _alone(obs, obs.camera_px, camera_size_px)[1]
     return _alone(obs, obs.projector_px, projector_size_px)[1] @ inverse(T_cam_board)
 
@@ -349,7 +350,7 @@ def poses_between(
 def rms_alone_px(
     obs: Observations, position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
 ) -> float:
-    """Return the RMS residual of one device's corners when that device is calibrated alone."""
+    """Return the RMS residual [px] of one device's corners when the device is calibrated alone."""
     return _alone(obs, position_px, size_px)[2]
 
 
@@ -371,7 +372,7 @@ def _middle(T: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def _alone(obs: Observations, position_px, size_px):
-    """Calibrate one device with two radial terms (OpenCV); return it, the poses and the RMS."""
+    """Calibrate one device with two radial terms (OpenCV); return it, board poses and RMS [px]."""
     views = range(int(obs.view.max()) + 1)
     point = [obs.point_m[obs.view == v].astype(np.float32) for v in views]
     position = [position_px[obs.view == v].astype(np.float32) for v in views]

@@ -1,8 +1,8 @@
-"""The views that agree on one rig, and their fit: no pose between the devices may differ.
+"""Selection and fit of the views that agree on one pose between the devices.
 
 A median over the views cannot show that a device moved halfway through them. So the fit with one
-pose between the devices is compared with the fit in which each view has its own pose: if the first
-fit has far larger residuals, the views are divided into groups of one pose each.
+pose between the devices is compared with a fit in which each view has its own pose. If the first
+fit has far larger residuals, the views are divided into groups with one pose each.
 """
 
 import math
@@ -21,12 +21,12 @@ from .adjust import Adjustment, Stands, adjust, adjust_stands
 from .board import CalibrationError
 from .observing import MIN_VIEWS, MINORITY, Observed
 
-SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # A view above both limits spoils the fit of all views.
-MOST_LOST = 0.4  # A view is bad if a larger share of its corners disagrees with the fit.
+SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # Above both limits, a view spoils the fit of all views.
+MOST_LOST = 0.4  # A view is bad if a larger share of its corners are outliers.
 OUTLYING = 2.5  # A view fits badly if its residual is more than this many times the median view's.
 OUTLYING_FLOOR_PX = 0.05  # A view with a smaller residual is always good.
-# One common pose does not suffice if its residual exceeds both APART_PX and APART times that with a
-# pose per view (at most 1.2 times in 50 simulated good calibrations with bent boards).
+# One common pose does not suffice if its residual exceeds APART_PX and also APART times that with a
+# pose per view. In 50 simulated good calibrations with bent boards, the ratio was at most 1.2.
 APART, APART_PX = 2.0, 0.05
 EXPLAINED = 1.5  # A pose per group suffices up to this factor of the residual with a pose per view.
 MOST_GROUPS = 6
@@ -37,9 +37,9 @@ CHANCE = 1e-3  # Below this p-value, noise of the corners does not explain the s
 def fit_agreeing(
     observed: Observed, sizes_px: Sequence[tuple[int, int]], radial_terms: int, tangential: bool
 ) -> tuple[Observed, Adjustment]:
-    """Return the views that fit together, and their fit.
+    """Return the views that agree on one rig, and their fit.
 
-    The fit's standard deviations include the scatter of the poses of the views.
+    The standard deviations of the fit include the scatter of poses between views.
 
     Args:
         sizes_px: (width, height) of the camera and of the projector.
@@ -61,7 +61,7 @@ def fit_agreeing(
         fit = _converged(one, corners)
         faults = _parted(observed, each, fit, some)
         if not faults:
-            fit = fit or one(corners)  # Without a fitting group, this raises the error again.
+            fit = fit or one(corners)  # If the fit did not converge, this raises its error.
             faults = _spoiling(observed, fit) or _worst_outlier(observed, fit)
             if not faults:
                 return observed, replace(fit, deviation=_widened(fit, each, views))
@@ -79,10 +79,10 @@ def _converged(fitted: Callable[..., Fit], *arguments: Any) -> Fit | None:
 def _parted(
     observed: Observed, each: Stands | None, fit: Adjustment | None, some: Callable[..., Stands]
 ) -> dict[str, str]:
-    """Return the few views in which the devices are not where most views have them, with reasons.
+    """Return the few views whose pose between the devices differs from most views, with reasons.
 
     Raises:
-        CalibrationError: too many views differ, or no grouping gives each group one pose.
+        CalibrationError: too many views differ, or no grouping of the views fits well enough.
     """
     if each is None or (fit is not None and not _above(fit.sigma_px, each.sigma_px, APART)):
         return {}
@@ -115,10 +115,10 @@ def _above(sigma_px, least_px, factor: float) -> bool:
 
 
 def _partings(each: Stands) -> Iterator[Int[np.ndarray, " views"]]:
-    """Yield groupings of the views, the likeliest first: two successive groups, then any groups.
+    """Yield groupings of the views: first two groups of successive views, then Ward's clusters.
 
-    The distance of two groups is the growth of the squared residuals (in variances) if the groups
-    share a pose; the two nearest groups are joined again and again.
+    The distance of two clusters is the increase of the squared residuals (in variances) if the
+    clusters share a pose; the nearest two are joined.
 
     Source: J. H. Ward, "Hierarchical grouping to optimize an objective function", JASA 1963.
     """
@@ -148,7 +148,7 @@ def _cost(each: Stands, a: list[int], b: list[int]) -> float:
 
 
 def _squares(each: Stands, some) -> float:
-    """Return the sum of squared distances of some views' poses from their mean, in variances."""
+    """Return the sum of squared deviations of some views' poses from their mean, in variances."""
     information, number = each.information[some], each.number[some]
     weighted = np.einsum("kij,kj->ki", information, number)
     mean = np.linalg.lstsq(information.sum(axis=0), weighted.sum(axis=0), rcond=None)[0]
@@ -157,7 +157,7 @@ def _squares(each: Stands, some) -> float:
 
 
 def _moved(observed: Observed, group, parted: Stands, fit: Adjustment | None) -> str:
-    """Return the error text for groups without a clear majority."""
+    """Return the error text for views whose largest group is not a clear majority."""
     members = [np.flatnonzero(group == k) for k in range(group.max() + 1)]
     members.sort(key=lambda some: some[0])
     names = " and ".join(_names(observed, some) for some in members)
@@ -182,7 +182,7 @@ def _names(observed: Observed, some) -> str:
 
 
 def _apart(parted: Stands, a: int, b: int) -> str:
-    """Return, as text, the projector's rotation and shift relative to the camera in two stands."""
+    """Return a text with the rotation and shift of the projector between two stands."""
     T_a, T_b = parted.T_cam_proj[a], parted.T_cam_proj[b]
     turn_rad = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude()
     shift_m = np.linalg.norm(T_b[:3, 3] - T_a[:3, 3])
@@ -190,7 +190,7 @@ def _apart(parted: Stands, a: int, b: int) -> str:
 
 
 def _since(others, group) -> str:
-    """Return an addition to the reason if the views left out are the last ones, else no text."""
+    """Return an addition to the reason if the last views are left out, else an empty text."""
     last = others[-1] == len(group) - 1 and len(others) > 1
     if not last or others[-1] - others[0] != len(others) - 1:
         return ""
@@ -198,7 +198,7 @@ def _since(others, group) -> str:
 
 
 def _spoiling(observed: Observed, fit: Adjustment) -> dict[str, str]:
-    """Return the worst view and the reason, if it fits far worse than the other views."""
+    """Return the worst view and the reason if it fits far worse than the other views, else none."""
     index = range(len(observed.views))
     lost = [1 - fit.inlier[observed.corners.view == k].mean() for k in index]
     if max(lost) > MOST_LOST:
@@ -220,7 +220,7 @@ def _spoiling(observed: Observed, fit: Adjustment) -> dict[str, str]:
 
 
 def _worst_outlier(observed: Observed, fit: Adjustment) -> dict[str, str]:
-    """Return the worst of the views that fit badly, unless too few views would remain."""
+    """Return the worst of the views that fit badly and the reason, unless too few would remain."""
     left = len(observed.views) - 1
     enough = (1 - MINORITY) * (len(observed.views) + len(observed.left_out))
     outliers = outlying(observed, fit)
@@ -231,11 +231,11 @@ def _worst_outlier(observed: Observed, fit: Adjustment) -> dict[str, str]:
 
 
 def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]]:
-    """Return the views that fit badly, with their residual in medians of all views and a text."""
+    """Return the views that fit badly, each with its ratio to the median residual and a reason."""
     views: dict[str, tuple[float, str]] = {}
     for device in ("camera", "projector"):
         size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
-        residual_px = [  # A median, so that a few wrong corners do not spoil a view
+        residual_px = [  # With a median, a few wrong corners do not spoil a view.
             float(np.median(size_px[observed.corners.view == k]))
             for k in range(len(observed.views))
         ]
@@ -253,11 +253,11 @@ def outlying(observed: Observed, fit: Adjustment) -> dict[str, tuple[float, str]
 
 
 def _widened(fit: Adjustment, each: Stands | None, views: int) -> dict[str, float]:
-    """Return the standard deviations, larger if the poses of the views scatter more than noise.
+    """Return standard deviations, increased if poses scatter more between views than by noise.
 
-    The residuals of one view err together (if the board is bent or moved), so the number of views
-    counts, not that of corners. With noise alone, the sum of squares (in variances) is larger with
-    one pose for all views than with one for each by `6 (views - 1)` on average.
+    If the board is bent or moved, the errors of its corners are correlated, so the number of views
+    counts, not that of corners. With noise alone, the sum of squares (in variances) with one pose
+    for all views exceeds the sum with a pose per view by `6 (views - 1)` on average.
 
     Source: R. T. Birge, "The calculation of errors by the method of least squares", Physical
     Review 40, 1932.

@@ -1,4 +1,4 @@
-"""Calibration boards: chessboards and ChArUco boards, and their description in one line of text."""
+"""Calibration boards (chessboards and ChArUco boards), and their description as text."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ...base.errors import GraycastError
 
-MIN_SQUARES = 3  # A homography needs 4 points, the inner corners of 3 x 3 squares.
+MIN_SQUARES = 3  # A homography needs 4 points; 3 x 3 squares have 4 inner corners.
 FORMS = (
     "chessboard:9x6:0.025 (squares in x and y, side of a square in m) or "
     "charuco:8x5:0.03:0.022:DICT_5X5_100 (then side of a marker in m, ArUco dictionary; :legacy at "
@@ -17,19 +17,19 @@ FORMS = (
 
 
 class CalibrationError(GraycastError):
-    """Error for pictures of a board that give no rig; the text says which pictures and why."""
+    """Failure of a calibration; the text says which pictures are unusable and why."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """A flat board of `squares_x` by `squares_y` squares, with or without markers in the white.
+    """A flat board of `squares_x` by `squares_y` squares, with or without ArUco markers.
 
     Board frame: origin at the outer corner of the first square, x along a row of squares,
-    y along a column, z into the board, seen from its front. A board of 9 x 6 squares has 8 x 5
-    inner corners. `legacy` means the ChArUco layout of OpenCV before 4.6, which differs if
+    y along a column, z into the board (away from its printed side). A board of 9 x 6 squares has
+    8 x 5 inner corners. `legacy` means the ChArUco layout of OpenCV before 4.6, which differs if
     `squares_y` is even.
 
-    Leaves out: a board that is not flat or not printed to scale; such errors go into the result.
+    Leaves out: a bent board or a wrong scale of the print, which cause errors of the calibration.
     """
 
     squares_x: int
@@ -71,13 +71,13 @@ class Board:
 
     @property
     def corners_m(self) -> Float[np.ndarray, "corners 3"]:
-        """Inner corners in the board's frame, row by row; the index is the corner's id."""
+        """Inner corners in the board frame, row by row; the index is the id of a corner."""
         x, y = np.meshgrid(np.arange(1, self.squares_x), np.arange(1, self.squares_y))
         grid = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
         return self.square_m * grid
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
-        """Return the same board as OpenCV draws and detects it."""
+        """Return the same board as OpenCV's object, which can draw and detect it."""
         if self.marker_m is None or self.dictionary is None:
             raise ValueError("this board is a chessboard: it has no markers")
         board = cv2.aruco.CharucoBoard(
@@ -91,10 +91,10 @@ class Board:
 
 
 def parse_board(text: str) -> Board:
-    """Return a board from its text, as given to `--board`; a ChArUco text may end in `:legacy`.
+    """Parse the text of `--board`; the text of a ChArUco board may end in `:legacy`.
 
     Raises:
-        ValueError: the text is no board; the message shows the two forms.
+        ValueError: the text does not describe a board; the message shows the two forms.
     """
     kind, *fields = text.strip().split(":")
     legacy = kind == "charuco" and fields[-1:] == ["legacy"]
@@ -118,7 +118,7 @@ def parse_board(text: str) -> Board:
 
 
 def dictionaries() -> tuple[str, ...]:
-    """Return the ArUco dictionaries that the installed OpenCV knows."""
+    """Return the names of the ArUco dictionaries in the installed OpenCV."""
     return tuple(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
 
 

@@ -1,4 +1,4 @@
-"""A rig from views of a board, with its residuals and its coverage."""
+"""Calibration of a rig from views of a board, with residuals, uncertainty and warnings."""
 
 import math
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from .board import Board, CalibrationError
 from .observing import GOOD_VIEWS, MOST_RMS, BoardView, Observed, check_views, grouped, observe
 
 GOOD_SPREAD_RAD = math.radians(20)  # At least two boards should differ in direction by this angle.
-GOOD_COVERAGE = 0.4  # The hull of all corners should cover this share of the picture.
-# Real devices stay within these bounds: fx / fy or its inverse; principal point and focal length in
-# picture widths; distortion as a share of the distance from the picture's centre; and a standard
-# deviation as a share of its value.
+GOOD_COVERAGE = 0.4  # The convex hull of all corners should cover this share of the picture.
+# Plausible results stay within these bounds: fx / fy or its inverse; principal point and focal
+# length in picture widths; distortion as a share of the distance from the picture's centre; and a
+# standard deviation as a share of its value.
 MOST_ASPECT, MOST_SHIFT, MOST_DISTORTION, MOST_DEVIATION = 3.0, 2.0, 0.7, 0.3
 FOCAL = (0.2, 50.0)
 GOOD_DEVIATION = 0.001  # good relative standard deviation of focal length and baseline
@@ -31,9 +31,9 @@ RANGE_MARGIN = 0.1  # The range extends beyond the nearest and farthest corner b
 class ViewResidual:
     """Residuals of one view after the fit.
 
-    `epipolar_rms_px` is the distance of the projector corners from the epipolar lines of the
-    camera's corners. `left_out` counts the corners that disagreed so strongly that the fit and the
-    residuals leave them out. `undecoded` counts the corners without code around them.
+    `epipolar_rms_px` is the RMS distance of the projector's corners from the epipolar lines of the
+    camera's corners. `left_out` counts the outliers, which are not in the fit or the residuals.
+    `undecoded` counts the corners around which too few pixels are decoded.
     """
 
     name: str
@@ -51,10 +51,10 @@ class ViewResidual:
 class Calibration:
     """The rig, its residuals over all views, and the standard deviation of each fitted number.
 
-    `coverage` is the share of the camera's and of the projector's picture within the hull of all
-    corners: outside it the distortion is a guess. `undetermined` has the radial terms that are 0
-    because the corners do not distinguish them from 0, with the fitted value and its deviation.
-    `warnings` are for the user to read.
+    `coverage` is the share of the camera's and of the projector's picture within the convex hull of
+    all corners; outside it, distortion is extrapolated. `undetermined` has the radial terms that
+    were set to 0 because they do not differ significantly from 0, each with its fitted value and
+    standard deviation. `warnings` are for the user to read.
     """
 
     rig: Rig
@@ -81,24 +81,23 @@ def calibrate_rig(
 ) -> Calibration:
     """Calibrate camera, projector and the pose between them from three or more board poses.
 
-    The projector is an inverse camera: the decoded code says where it "sees" each corner.
+    The projector is an inverse camera: the decoded code says at which of its pixels it "sees" each
+    corner. A view is left out, and named in a warning, if it has no board, too few decoded corners,
+    a mirrored code or the pose of another view, or if it spoils the fit of the other views.
 
     Args:
         projector_size_px: (width, height).
         near_m: nearest depth of the working range; None takes the nearest corner less 10 %.
         far_m: farthest depth of the working range; None takes the farthest corner plus 10 %.
-        radial_terms: largest number of k1, k2, k3 to fit, 0 to 3; the rest are 0, and so are last
-            terms that the corners do not determine.
+        radial_terms: largest number (0 to 3) of the terms k1, k2, k3 to fit; other terms are 0,
+            and so are the last terms if they are not significant.
         tangential: whether p1 and p2 are fitted.
-
-    A view is left out, and named in a warning, if it has no board, too few decoded corners, a
-    mirrored code or the pose of another view, or if it spoils the fit of the other views.
 
     Raises:
         CalibrationError: too few views remain, or no device can have the result; the text names
             the views and the remedy.
 
-    Leaves out: skew; bent boards; defocus, because its blur is assumed not to move edges.
+    Leaves out: skew, bent boards, and defocus, whose blur is assumed not to move edges.
     """
     if radial_terms not in range(4):
         raise ValueError(f"radial_terms is {radial_terms}; give 0 to 3")
@@ -150,7 +149,7 @@ def calibrate_rig(
 
 
 def _range_m(observations: Observations, fit: Adjustment) -> tuple[float, float]:
-    """Return the depths of the nearest and of the farthest corner, with a margin."""
+    """Return the depths [m] of the nearest and the farthest corner, with a margin."""
     T = fit.T_cam_board[observations.view]
     depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], observations.point_m) + T[:, 2, 3])[fit.inlier]
     return float(depth_m.min() * (1 - RANGE_MARGIN)), float(depth_m.max() * (1 + RANGE_MARGIN))
@@ -163,7 +162,7 @@ def epipolar_distance_px(
     camera_px: Float[np.ndarray, "n 2"],
     projector_px: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, " n"]:
-    """Return the signed distance of projector points from their camera points' epipolar lines [px].
+    """Return the signed distance [px] of projector points from the camera points' epipolar lines.
 
     Points are undistorted first; the distance is scaled by the projector's mean focal length.
     """
@@ -197,7 +196,7 @@ def _refuse_impossible(fit: Adjustment) -> None:
 
 
 def _impossible(optics: Optics, rms_px: float):
-    """Yield the fitted properties that no device can have, with their values."""
+    """Yield descriptions of the fitted properties that no device can have."""
     width_px, height_px = optics.width_px, optics.height_px
     aspect = optics.fx_px / optics.fy_px
     if not 1 / MOST_ASPECT < aspect < MOST_ASPECT:
@@ -216,7 +215,7 @@ def _impossible(optics: Optics, rms_px: float):
 
 
 def _check_fold(device: str, optics: Optics) -> None:
-    """Refuse a fit whose rays do not exist over the whole picture, because it cannot be used."""
+    """Refuse a fit whose distortion folds back, so that some pixels of the picture have no ray."""
     x, y = (np.linspace(-0.5, size_px - 0.5, 33) for size_px in (optics.width_px, optics.height_px))
     try:
         rays(optics, np.stack(np.meshgrid(x, y), axis=-1))
@@ -248,7 +247,7 @@ def _view_residual(
 
 
 def _rms(residual: Float[np.ndarray, "n d"]) -> float:
-    """Return the root mean square length of vectors; NaN if there are no vectors."""
+    """Return the RMS length of vectors; NaN if there are no vectors."""
     return float(np.sqrt(np.square(residual).sum(axis=1).mean())) if len(residual) else math.nan
 
 
@@ -258,7 +257,7 @@ def _coverage(position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]) -
 
 
 def _symptoms(views: Sequence[BoardView], observed: Observed):
-    """Yield the warnings from the stacks of the views that are used."""
+    """Yield the warnings about the stacks of the used views."""
     used = {view.name for view in observed.views}
     most = max((len(view.symptoms) for view in views), default=0)
     for k in range(most):
@@ -308,7 +307,7 @@ def _loose(rig: Rig, deviation: dict[str, float]):
 
 
 def describe_calibration(calibration: Calibration) -> str:
-    """Return a text: residuals of each view, the rig, and the deviation of each of its numbers."""
+    """Return a text with the residuals of each view, the rig, and its standard deviations."""
     lines = ["view: corners, left out, undecoded; RMS camera, projector, epipolar [px]; tilt [deg]"]
     for view in calibration.views:
         lines.append(

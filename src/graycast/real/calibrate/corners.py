@@ -1,4 +1,4 @@
-"""A board's inner corners in a picture, to about a hundredth of a pixel, and in the projector."""
+"""Measurement of a board's inner corners in camera (to about 0.01 px) and projector."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from ...base.robust import robust_sigma
 from .board import Board, CalibrationError
 
 MIN_CORNERS = 8  # A pose and a homography need only four; more are safer.
-REFINE_REACH = 0.45  # Share of a square; a larger window would contain the next edges.
+REFINE_REACH = 0.45  # share of a square; a larger window would contain the next edges
 REFINE_REACH_PX = 15.0  # A larger window costs time, and distortion bends its edges.
 REFINE_ITERATIONS = 20
 SMOOTH_PX = 0.8  # A blur of this standard deviation makes sharp edges wider than a pixel.
 MIN_BLUR_PX = 0.5
-MIN_CONTRAST = 0.05  # Half the step from dark to bright, as a share of the picture's range.
-MAX_MOVE = 0.2  # A corner that refining moves by a larger share of a square is rejected.
-CODE_REACH = 0.9  # In squares; on the board, a whole square surrounds every inner corner.
+MIN_CONTRAST = 0.05  # half of the step from dark to bright, as a share of the picture's range
+MAX_MOVE = 0.2  # A corner is rejected if refinement moves it by a larger share of a square.
+CODE_REACH = 0.9  # in squares; around every inner corner, the board extends by a whole square
 MIN_SHARE = 0.3  # This share of the pixels around a corner must be decoded and agree.
 MIN_PIXELS = 20
 CODE_ROUNDS = 12
@@ -27,7 +27,7 @@ CODE_OUTLIER = 3.0  # A value is an outlier beyond this many robust standard dev
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Corners:
-    """Inner corners of one board seen in one picture.
+    """Inner corners of one board in one picture.
 
     `id` indexes `Board.corners_m`; `position_px` is (x, y). At corner i, `px_per_square[i]` maps a
     step on the board, in squares, to a step in the picture.
@@ -43,10 +43,10 @@ class Corners:
 
 
 def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
-    """Find the board's inner corners in an evenly lit picture of the board.
+    """Find the inner corners of a board in an evenly lit picture.
 
-    OpenCV finds the board; then each corner is refined as the product of two blurred edges,
-    since OpenCV's own sub-pixel positions are off by 0.05 to 0.1 px in sharp pictures.
+    OpenCV finds the board. Each corner is then refined by a fit of two blurred edges, because
+    OpenCV's sub-pixel positions are off by 0.05 to 0.1 px in sharp pictures.
 
     Args:
         image: grey levels of any scale.
@@ -62,7 +62,7 @@ def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
     id_, start_px = start
     px_per_square = px_per_square_of(board, id_, start_px)
     reach = REFINE_REACH
-    if board.marker_m is not None:  # the window must exclude the markers
+    if board.marker_m is not None:  # The window must exclude the markers.
         reach = min(reach, 0.65 * (1 - board.marker_m / board.square_m))
     position_px, good = refine_corners(grey, start_px, px_per_square, reach=reach)
     if good.sum() < MIN_CORNERS:
@@ -80,16 +80,17 @@ def refine_corners(
     *,
     reach: float = REFINE_REACH,
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Fit each corner to the picture as two crossing edges; return also a mask of the good fits.
+    """Fit two crossing edges to each corner; return positions [px] and a mask of the good fits.
 
-    The model is `I(p) = (m + c erf(u / s) erf(v / s)) (1 + g . (p - p0))`: u and v are distances
-    from two lines through p0 with independent angles, s is the blur, g a gradient of the light.
-    Gauss-Newton finds the nine unknowns from the pixels within `reach` squares and 15 px.
+    The model is `I(p) = (m + c erf(u / s) erf(v / s)) (1 + g . (p - p0))`, where u and v are the
+    distances from two lines through p0 with independent angles, m is the mean grey level, c the
+    contrast, s the blur and g a gradient of the light. Gauss-Newton steps find the nine unknowns
+    from the pixels within `reach` squares and 15 px.
 
-    The picture is smoothed first: otherwise, if a sharp edge runs along the pixel rows, the grey
-    levels do not vary smoothly with the edge's place, and the fit may be off by half a pixel.
+    The picture is smoothed first: if a sharp edge runs along the pixel rows, the grey levels do not
+    vary smoothly with the position of the edge, and the fit may be off by half a pixel.
 
-    Leaves out: lines bent by distortion, which shift corners by 0.005 px with the lenses tried.
+    Leaves out: edges bent by distortion, which shift corners by 0.005 px with the lenses tried.
     """
     offset, weight = _window(start_px, px_per_square, reach)
     centre = np.rint(start_px).astype(np.intp)
@@ -103,7 +104,7 @@ def refine_corners(
         residual, jacobian = _edges(unknown, offset, value)
         weighted = jacobian * weight[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, jacobian)
-        # Damp steps while the guess may be half a pixel off; 1e-12 avoids a singular matrix.
+        # First steps are damped, as the guess may be half a pixel off; 1e-12 avoids singularity.
         damping = np.einsum("nii->ni", normal) * (0.05 if step < 4 else 1e-9) + 1e-12
         normal += damping[..., None] * np.eye(normal.shape[-1])
         gradient = np.einsum("nki,nk->ni", weighted, residual)
@@ -177,7 +178,7 @@ def _no_board(byte, board: Board) -> str:
 
 
 def px_per_square_of(board: Board, id_, position_px) -> Float[np.ndarray, "n 2 2"]:
-    """Return the derivative of the homography from the board, in squares, to the picture."""
+    """Return the Jacobian of the homography from board (in squares) to picture at each corner."""
     square = board.corners_m[id_, :2] / board.square_m
     H, _ = cv2.findHomography(square, position_px)
     if H is None:
@@ -190,9 +191,9 @@ def px_per_square_of(board: Board, id_, position_px) -> Float[np.ndarray, "n 2 2
 def _window(
     start_px, px_per_square, reach: float
 ) -> tuple[Int[np.ndarray, "k 2"], Float[np.ndarray, "n k"]]:
-    """Return pixel offsets from the nearest pixel, and for each corner a weight of 1 on its disc.
+    """Return pixel offsets from the nearest pixel, and weights of each corner: 1 on its disc or 0.
 
-    The disc is a circle on the board with a radius of `reach` squares, however slanted the board.
+    The disc is a circle on the board with a radius of `reach` squares, an ellipse in the picture.
     """
     widest = reach * np.linalg.norm(px_per_square, axis=(1, 2)).max()
     radius = int(np.ceil(min(widest, REFINE_REACH_PX))) + 1
@@ -207,7 +208,7 @@ def _window(
 
 
 def _first_guess(position, px_per_square, offset, value, weight) -> Float[np.ndarray, "n 9"]:
-    """Return (x, y, two normals' angles, blur, mean, contrast, gradient x, y) of each corner."""
+    """Return each corner's x, y, angles of two normals, blur, mean, contrast, gradient x and y."""
     n = len(position)
     normal = np.arctan2(px_per_square[:, 0], -px_per_square[:, 1])  # angles of the edges' normals
     guess = np.zeros((n, 9))
@@ -215,13 +216,13 @@ def _first_guess(position, px_per_square, offset, value, weight) -> Float[np.nda
     guess[:, 5] = (weight * value).sum(axis=1) / weight.sum(axis=1)
     guess[:, 6] = 1.0
     _, jacobian = _edges(guess, offset, value)
-    checker = weight * jacobian[..., 6]  # +1 and -1 by quadrant; its coefficient is the contrast
+    checker = weight * jacobian[..., 6]  # about +1 or -1 in each quadrant
     guess[:, 6] = (checker * (value - guess[:, 5:6])).sum(axis=1) / (checker**2).sum(axis=1)
     return guess
 
 
 def _edges(unknown, offset, value) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k 9"]]:
-    """Return the two-edge model's residual at each pixel, and its derivative by nine unknowns."""
+    """Return the residual of the two-edge model at each pixel, and its Jacobian."""
     x, y, a, b, s, mean, contrast, gx, gy = unknown.T[..., None]
     dx, dy = offset[:, 0] - x, offset[:, 1] - y
     u, v = np.cos(a) * dx + np.sin(a) * dy, np.cos(b) * dx + np.sin(b) * dy
@@ -261,24 +262,24 @@ def projector_corners(
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
     """Return the projector's column and row at each corner of the board.
 
-    The board is flat, so near a corner the code is a smooth function of the camera pixel, light and
-    dark squares alike: for each axis, a quadratic is fitted over the disc of 0.9 squares around the
-    corner and evaluated at the corner. It follows perspective and both lenses to 0.001 px, and
-    many pixels average out the rounding of a plain Gray code. Gross errors are removed in rounds.
+    The board is flat, so near a corner, the code is a smooth function of the camera pixel on light
+    and dark squares. For each axis, a quadratic is fitted robustly to a disc of 0.9 squares around
+    the corner and evaluated at the corner. It follows perspective and both lenses to 0.001 px, and
+    many pixels average out the rounding of a plain Gray code.
 
     Args:
         column: decoded projector column [px]; NaN where unknown.
         row: decoded projector row [px]; NaN where unknown.
-        sigma_column: standard deviation of `column`, for the weights; None weights all the same.
+        sigma_column: standard deviation of `column`, for the weights; None means equal weights.
         sigma_row: standard deviation of `row`, likewise.
 
     Returns:
-        Positions (x, y) [px], and at each corner the matrix that maps a step in the camera's
-        picture to a step in the projector's, and so an error of the camera's corner. NaN where
-        fewer than 30 % of the pixels around a corner are decoded and agree.
+        Positions (x, y) [px], and at each corner the matrix that maps a small shift in the camera's
+        picture to a shift in the projector's picture. Both are NaN where fewer than 30 % of the
+        pixels around a corner are decoded and agree.
 
     Source: D. Moreno and G. Taubin, "Simple, Accurate, and Robust Projector-Camera Calibration",
-    3DIMPVT 2012, for the idea; they fit a homography, to columns and rows together.
+    3DIMPVT 2012. They fit one homography to columns and rows.
     """
     n = len(corners.id)
     position_px, per_camera_px = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
@@ -296,7 +297,7 @@ def projector_corners(
 def _disc(
     centre: Float[np.ndarray, "2"], px_per_square: Float[np.ndarray, "2 2"], h: int, w: int
 ) -> Int[np.ndarray, "k 2"]:
-    """Return pixels (x, y) of the picture within `CODE_REACH` squares of a corner, on the board."""
+    """Return the pixels (x, y) that are within `CODE_REACH` squares of a corner on the board."""
     radius = CODE_REACH * np.linalg.norm(px_per_square, axis=1)
     low = np.maximum(np.floor(centre - radius), 0).astype(np.intp)
     high = np.minimum(np.ceil(centre + radius) + 1, [w, h]).astype(np.intp)
@@ -312,7 +313,7 @@ def _read_at(
     code: Float[np.ndarray, "h w"],
     sigma: Float[np.ndarray, "h w"] | None,
 ) -> tuple[float, Float[np.ndarray, "2"]]:
-    """Return value and slope at `centre` of a robust quadratic fitted to the code around it."""
+    """Return value and gradient, at `centre`, of a robust quadratic fit to the code around it."""
     nothing = (np.nan, np.full(2, np.nan))
     value = code[pixel[:, 1], pixel[:, 0]].astype(np.float64)
     weight = np.ones(len(pixel))
@@ -323,7 +324,7 @@ def _read_at(
     if known.sum() < enough:
         return nothing
     value, weight = value[known], weight[known] / weight[known].mean()
-    unit_px = np.abs(pixel - centre).max()  # This unit brings all powers to one scale.
+    unit_px = np.abs(pixel - centre).max()  # With this unit, all powers have a similar scale.
     offset = (pixel[known] - centre) / unit_px
     x, y = offset[:, 0], offset[:, 1]
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
@@ -331,16 +332,16 @@ def _read_at(
     if keep.sum() < enough:
         return nothing
     normal = (basis[keep] * weight[keep, None]).T @ basis[keep]
-    if np.linalg.cond(normal) > 1e8:  # Pixels on one side only do not fix the position.
+    if np.linalg.cond(normal) > 1e8:  # Pixels on only one side do not determine the fit.
         return nothing
     return float(coefficient[0]), coefficient[1:3] / unit_px
 
 
 def _robust_fit(basis, value, weight):
-    """Return a mask of the values that agree with a smooth fit, and the fit's coefficients.
+    """Return a mask of the values that agree with a smooth fit, and the coefficients of the fit.
 
-    The first fit minimises absolute deviations (reweighted), so that fewer than half of the pixels
-    cannot spoil it; then pixels beyond three robust deviations are left out.
+    A first fit minimises absolute deviations by reweighting, so that it tolerates gross errors in
+    fewer than half of the pixels. Then pixels beyond three robust standard deviations are left out.
     """
     robust, before = weight, np.full(basis.shape[1], np.inf)
     for _ in range(CODE_ROUNDS):

@@ -1,4 +1,4 @@
-"""Views of a board, the corners that both devices see in each, and the views that fit no rig."""
+"""Measurement of a board's corners in its views, and exclusion of views that fit no rig."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,13 +16,13 @@ from .corners import MIN_CORNERS, find_corners, projector_corners
 
 MIN_VIEWS = 3  # Fewer board directions do not determine the intrinsics.
 GOOD_VIEWS = 8
-SAME_POSE = 0.005  # Views have one pose if their corners differ by less (share of board's radius).
-GROSS, GROSS_PX = 6.0, 2.0  # A corner is wrong above both limits: view medians and pixels.
+SAME_POSE = 0.005  # Views show one pose if corners differ by less than this share of their spread.
+GROSS, GROSS_PX = 6.0, 2.0  # A corner is wrong above both limits: times the view's median, and px.
 MOST_RMS = 0.005  # largest residual of a device, in widths of its picture
-GOOD_RMS_PX, SPOILING = 0.5, 3.0  # good RMS; factor by which a bad view raises a device's RMS
-MINORITY = 1 / 3  # A larger share is never dropped, as it may be the right views.
-# A view's projector pose is wrong if its error exceeds both this factor of the median and a
-# minimum; noise turns it by up to 1.3 degrees. `fit_agreeing` knows the noise and finds less.
+GOOD_RMS_PX, SPOILING = 0.5, 3.0  # good RMS; least factor by which a bad view raises the RMS
+MINORITY = 1 / 3  # A larger share of views is never left out, because it may be right.
+# A view's projector pose is wrong if its difference exceeds both ELSEWHERE times the median and a
+# minimum: noise turns it by up to 1.3 degrees. `fit_agreeing` detects smaller differences.
 ELSEWHERE, TURN_DEG, SHIFT = 4.0, 2.0, 0.15  # The shift is a share of the baseline.
 
 
@@ -30,8 +30,8 @@ ELSEWHERE, TURN_DEG, SHIFT = 4.0, 2.0, 0.15  # The shift is a share of the basel
 class BoardView:
     """One pose of the board: its picture under white light and the decoded projector pixels.
 
-    `column` and `row` are in projector pixels, NaN where unknown. `symptoms` are the warnings of
-    the stack that they were decoded from.
+    `column` and `row` are in projector pixels, NaN where unknown. `symptoms` are the warnings from
+    decoding the stack.
     """
 
     name: str
@@ -44,7 +44,7 @@ class BoardView:
 
 
 def read_view(path: Path) -> tuple[BoardView, tuple[int, int]]:
-    """Read one pose of the board from a YAML file's stack; return also the projector's size.
+    """Decode a stack that shows one pose of the board; return also the projector's size [px].
 
     The picture of the board is the white frame, or the brighter of a bit and its inverse.
 
@@ -83,11 +83,11 @@ class Observed:
 
     @property
     def corners(self) -> Observations:
-        """The corners of all views, numbered in order."""
+        """The corners of all views, with views numbered in order."""
         return _joined(self.views)
 
     def less(self, faults: Mapping[str, str]) -> "Observed":
-        """Return the views without those that have faults.
+        """Return the views without faults, and add the faults to `left_out`.
 
         Raises:
             CalibrationError: too few views remain; the text names all views that are left out.
@@ -109,7 +109,7 @@ def _joined(views: Sequence[ViewCorners]) -> Observations:
 
 
 def check_views(views: Sequence[BoardView]) -> tuple[int, int]:
-    """Return the camera's (width, height); refuse too few views, or views of unequal size."""
+    """Return the camera's (width, height) [px]; refuse too few views and views of unequal size."""
     if len(views) < MIN_VIEWS:
         raise CalibrationError(
             f"{len(views)} views of the board; at least {MIN_VIEWS} in different directions are "
@@ -141,7 +141,7 @@ def observe(
     """Return the corners that both devices see, in the views that can belong to one rig.
 
     Raises:
-        CalibrationError: too few such views.
+        CalibrationError: there are too few such views.
     """
     good: list[ViewCorners] = []
     faults = {}
@@ -149,7 +149,7 @@ def observe(
         try:
             one = _observe_one(view, board, projector_size_px)
             _refuse_same_pose(one, good)
-        except CalibrationError as error:  # collect the faults of all bad views
+        except CalibrationError as error:  # One error reports the faults of all bad views.
             faults[view.name] = str(error)
         else:
             good.append(one)
@@ -160,10 +160,10 @@ def observe(
 def agreeing(
     observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> Observed:
-    """Return the views that agree on both lenses and on the places of the devices.
+    """Return the views that agree on both lenses and on the pose between the devices.
 
-    Each device is calibrated alone: faulty views do not fit one lens together with the rest. Then
-    every view gives a pose of the projector, which must agree with that of most other views.
+    First, each device is calibrated alone, and views are left out that do not fit one lens together
+    with the other views. Then the projector's pose from each view must agree with most others.
 
     Raises:
         CalibrationError: too few views agree.
@@ -174,7 +174,7 @@ def agreeing(
 
 
 def grouped(sentences: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Yield the names of views with the same sentence, apart from its numbers, and the sentence."""
+    """Group views whose sentences differ only in numbers; yield their names and one sentence."""
     views: dict[str, list[str]] = {}
     for name, sentence in sentences.items():
         views.setdefault(re.sub(r"\d+", "", sentence), []).append(name)
@@ -202,7 +202,7 @@ def _observe_one(view: BoardView, board: Board, projector_size_px: tuple[int, in
             f"axes{''.join(f' ({symptom})' for symptom in view.symptoms)}"
         )
     position_px = lit_px[decoded]
-    # The fit extrapolates, so a corner may be slightly outside the projector's picture.
+    # The fit may extrapolate, so a corner may be slightly outside the projector's picture.
     if position_px.min() < -2 or (position_px > np.array(projector_size_px) + 1).any():
         span = f"({position_px[:, 0].max():.0f}, {position_px[:, 1].max():.0f})"
         size = f"{projector_size_px[0]} x {projector_size_px[1]}"
@@ -234,13 +234,13 @@ def _refuse_same_pose(view: ViewCorners, others: Sequence[ViewCorners]) -> None:
 
 
 def _less_gross(corners: Observations) -> Observations:
-    """Return the corners without gross errors; the other corners of those views may be good."""
+    """Return the corners without gross errors; a view with such an error may have good corners."""
     keep = np.ones(len(corners.view), dtype=bool)
     for k in np.unique(corners.view):
         mine = corners.view == k
         camera_px, projector_px = corners.camera_px[mine], corners.projector_px[mine]
         H, _ = cv2.findHomography(camera_px, projector_px, cv2.LMEDS)
-        if H is not None:  # the homography ignores a distortion of a few pixels
+        if H is not None:  # GROSS_PX allows for distortion, which a homography does not model.
             at = np.column_stack([camera_px, np.ones(len(camera_px))]) @ H.T
             off_px = np.linalg.norm(at[:, :2] / at[:, 2:] - projector_px, axis=1)
             keep[mine] = off_px <= max(GROSS * float(np.median(off_px)), GROSS_PX)
@@ -250,7 +250,7 @@ def _less_gross(corners: Observations) -> Observations:
 def _misfit(
     observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> dict[str, str]:
-    """Return the view without which all other corners fit one lens far better, and the reason."""
+    """Return the view without which the other views fit one lens far better, and the reason."""
     corners = _less_gross(observed.corners)
     for device, size_px in (("camera", camera_size_px), ("projector", projector_size_px)):
         whole_px = rms_alone_px(corners, getattr(corners, f"{device}_px"), size_px)
@@ -278,7 +278,7 @@ def _misfit(
 def _elsewhere(
     observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> dict[str, str]:
-    """Return the views whose boards put the projector elsewhere than most views do, with reasons.
+    """Return the views whose projector pose differs from that of most views, with reasons.
 
     Only a minority is returned: if more views differ, `fit_agreeing` compares groups of views.
     """

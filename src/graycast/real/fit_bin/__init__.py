@@ -1,4 +1,4 @@
-"""Fit of a real bin's pose, colours and light to views of the empty bin."""
+"""Fit of the pose, colours and light of a real bin to scans of the empty bin."""
 
 from .bin_views import empty_view, read_views
 from .fitting import (

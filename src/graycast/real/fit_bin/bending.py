@@ -1,15 +1,15 @@
-"""Bending of a bin's mesh until its visible surface is where a scan measured it.
+"""Bending of a bin's mesh until its visible surface agrees with a scan.
 
 A real bin differs from its drawing: walls bulge, floors sag. Each vertex moves along its camera ray
 by the ratio of measured depth to the mesh's depth. The ratio is one smooth function of the ray, so
 points on a ray keep their order: the mesh does not fold, and the outside of a wall moves together
 with its inside.
 
-Leaves out: places that parts, shadows or the bin itself hide, which take the ratio measured next to
-them; the outside and the underside, which follow the inside along the ray, so that a wall's
-thickness is not measured; shape finer than `EDGE_M`; and differences of `REACH_M` or more along the
-ray, which at a grazing angle are much smaller across the wall. A part flatter than `REACH_M`, at
-the same place in the only view or in most views, is mistaken for the bin.
+Leaves out: surfaces hidden by parts, shadows or the bin itself, which take the ratio measured next
+to them. The outside and the underside follow the inside along the ray, so the thickness of a wall
+is not measured. Shape finer than `EDGE_M` and differences of `REACH_M` or more along the ray are
+ignored; at a grazing angle, such differences are much smaller across the wall. A part flatter than
+`REACH_M` is mistaken for the bin if it is at the same place in most views.
 """
 
 from collections.abc import Sequence
@@ -32,17 +32,19 @@ from ...world.parts.normals import crease_normals
 from ...world.scene import Bin, bin_mesh
 from .bin_views import BinView
 
-EDGE_M = 8e-3  # Shorter edges are not split; smoothing has this standard deviation, too.
-_LONGEST_M = 8 * EDGE_M  # Longer edges are always split, as a face is tested at few points.
-_CURVED_M = 1e-4  # Largest distance of a face from the smooth shape: the noise of a pixel.
+EDGE_M = 8e-3  # Shorter edges are not split. This is also the standard deviation of the smoothing.
+_LONGEST_M = 8 * EDGE_M  # Longer edges are always split, because a face is tested at few points.
+_CURVED_M = 1e-4  # largest distance of a face from the smooth shape, about the noise of a pixel
 # A bin differs from its model by several millimetres; parts and wrong surfaces differ by more.
 REACH_M = 15e-3
-_AGREE_M = 1e-3  # Half of the views may differ from their median by the larger of this and
-_AGREE_USUAL = 5.0  # this many times the usual difference, as noise depends on the camera.
-_STEP_M = 5e-3  # A depth edge exceeds both neighbouring differences by this.
-_MARGIN_PX = 3  # Pixels this near to a depth edge or a part mix two surfaces.
+# The median absolute deviation of a pixel's depth over the views may reach _AGREE_M or, because
+# noise depends on the camera, _AGREE_USUAL times the usual deviation, whichever is larger.
+_AGREE_M = 1e-3
+_AGREE_USUAL = 5.0
+_STEP_M = 5e-3  # At a depth edge, depth changes by this much more than between the pixels around.
+_MARGIN_PX = 3  # Pixels this near to a depth edge or a part may mix two surfaces.
 _LEAST_SIGMA_PX = 2.0
-_LEAST_SHARE = 0.05  # The pose is wrong if a smaller share of the mesh's pixels has depth near it.
+_LEAST_SHARE = 0.05  # If fewer of the mesh's pixels have depth near the mesh, the pose is wrong.
 _COARSER = 0.01  # weight of the next coarser level, for places with little measured depth
 _ROUNDS = 3  # One round flattens a bulge by 10 %; two more reduce this to 0.1 %.
 
@@ -53,25 +55,25 @@ def bend_bin(
     camera: Optics,
     depth_m: Float[np.ndarray, "h w"],
 ) -> Mesh:
-    """Return the mesh of a bin with its visible surface where it was measured.
+    """Bend the mesh of a bin so that its visible surface agrees with the measured depth.
 
-    Faces are split where they bend, down to edges of `EDGE_M`, and shared edges in both faces, so
-    that a watertight mesh stays watertight. A pixel counts if its measurement is within `REACH_M`
-    of the mesh, and no step of the mesh and nothing in front of the mesh is next to the pixel.
+    Faces are split where they bend, down to edges of `EDGE_M`. A shared edge is split in both
+    faces, so that a watertight mesh stays watertight. A pixel counts if its depth is within
+    `REACH_M` of the mesh and it is not next to a depth edge of the mesh or to other objects.
 
     Args:
         mesh: the bin as drawn, in the world frame.
-        T_world_cam: the camera's pose over it.
-        camera: camera of the measurement.
+        T_world_cam: pose of the camera that measured the depth.
+        camera: intrinsics of that camera.
         depth_m: z-depth [m] in the camera frame; NaN where nothing is measured.
 
     Returns:
-        The bent mesh in the frame of `mesh`. Vertices outside of the picture move with the nearest
-        pixel, vertices behind the camera stay. uv do not change with the bending.
+        The bent mesh in the frame of `mesh`. Vertices outside the picture move with the nearest
+        pixel, and vertices behind the camera stay. Bending does not change uv coordinates.
 
     Raises:
         ValueError: the depth has another size than the camera's picture.
-        GraycastError: the measurement agrees with hardly any of the mesh.
+        GraycastError: the measured depth is near the mesh at too few pixels.
     """
     expected_m = _cast(mesh, T_world_cam, camera)
     if expected_m.shape != depth_m.shape:
@@ -104,10 +106,10 @@ def bend_bin(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BentBin:
-    """A bent mesh in its own frame, as in a configuration, and the camera's pose in that frame.
+    """A bent mesh and the camera's pose, in a frame whose origin is the middle of the bent floor.
 
-    The origin is in the middle of the bent floor, not of the drawn floor. `before_m` and `after_m`
-    have the median and the 90th percentile of the distances along z between mesh and measurement.
+    `before_m` and `after_m` contain the median and the 90th percentile of the absolute difference
+    between measured depth and mesh, before and after bending.
     """
 
     mesh: Mesh
@@ -117,14 +119,14 @@ class BentBin:
 
 
 def bent_bin(box: Bin, T_world_cam: Float[np.ndarray, "4 4"], views: Sequence[BinView]) -> BentBin:
-    """Return a bin bent to the median depth of all views of one camera; a box becomes a mesh.
+    """Bend a bin to the median depth of all views of one camera; a box becomes a mesh.
 
-    Pixels do not count if half of the views are far from that median, because the median may then
+    A pixel does not count if half of the views are far from the median, because the median may then
     be no surface: with a flat part in one of two views, it is halfway between part and bin.
 
     Raises:
         GraycastError: see `bend_bin`.
-        MeshError: the bent mesh is no open bin any more.
+        MeshError: the bent mesh is no longer an open bin.
     """
     camera, depth_m = views[0].camera, _median_depth(views)
     mesh = bin_mesh(box)
@@ -141,7 +143,7 @@ def bent_bin(box: Bin, T_world_cam: Float[np.ndarray, "4 4"], views: Sequence[Bi
 
 
 def mesh_bytes(mesh: Mesh) -> bytes:
-    """Return a binary PLY of a mesh in the world frame [m], with neither uv nor normals."""
+    """Return a mesh in the world frame as a binary PLY [m], without uv coordinates and normals."""
     head = header(
         "binary_little_endian",
         [("double", name) for name in "xyz"],
@@ -181,15 +183,15 @@ def _spread(
 def _cast(
     mesh: Mesh, T_world_cam: Float[np.ndarray, "4 4"], camera: Optics
 ) -> Float[np.ndarray, "h w"]:
-    """Return the z-depth of the mesh [m]; NaN outside it."""
+    """Return the z-depth [m] of the mesh in the camera's picture; NaN outside the mesh."""
     return visible_surface(T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
 
 
 def _taken(
     mesh_m: Float[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the pixels at which the measurement shows the bin."""
-    # Pixels beside a gap are kept, because scans have single gaps everywhere.
+    """Return a mask of the pixels whose measured depth belongs to the bin."""
+    # Pixels next to a gap count, because scans have small gaps everywhere.
     with np.errstate(invalid="ignore"):
         other = np.abs(depth_m - mesh_m) >= REACH_M
     known = np.isfinite(depth_m) & np.isfinite(mesh_m)
@@ -197,17 +199,17 @@ def _taken(
 
 
 def _clear_of_steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the pixels away from places where depth jumps or ends.
+    """Return a mask of the pixels that are not near a depth edge or the end of a surface.
 
-    On a steep wall, depth changes evenly from pixel to pixel, so a step is a change that is larger
-    than those of both neighbouring pairs.
+    On a steep wall, depth changes evenly from pixel to pixel. A depth edge is therefore a change
+    that exceeds the changes between the pixels on both sides of it.
     """
     z_m = np.nan_to_num(z_m)  # This makes the end of a surface a step to 0.
     return ~_widened(_steps(z_m) | _steps(z_m.T).T)
 
 
 def _steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of both pixels of each step along the rows."""
+    """Return a mask of the two pixels at each depth edge along the rows."""
     fall = np.pad(np.abs(np.diff(z_m, axis=1)), ((0, 0), (1, 1)))
     jump = fall[:, 1:-1] > np.maximum(fall[:, :-2], fall[:, 2:]) + _STEP_M
     return np.pad(jump, ((0, 0), (1, 0))) | np.pad(jump, ((0, 0), (0, 1)))
@@ -223,15 +225,15 @@ def _widened(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 def _smooth(
     value: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"], sigma_px: float
 ) -> Float[np.ndarray, "h w"]:
-    """Smooth by normalised convolution with a Gaussian, continued from coarser levels.
+    """Smooth by normalised convolution with a Gaussian; fill gaps from coarser pyramid levels.
 
-    Source: H. Knutsson & C.-F. Westin, "Normalized and differential convolution", 1993. Each level
-    has half the pixels of the one before it, so its Gaussian reaches twice as far.
+    Each level has half the pixels per axis of the previous level, so its Gaussian reaches twice as
+    far. Source: H. Knutsson & C.-F. Westin, "Normalized and differential convolution", 1993.
 
     Args:
         value: values to average.
         weight: weight of each pixel, from 0 to 1.
-        sigma_px: width of the Gaussian at each level, in pixels of the level.
+        sigma_px: standard deviation of the Gaussian, in pixels of each level.
     """
     total = gaussian_filter(value * weight, sigma_px, mode="constant")
     share = gaussian_filter(weight, sigma_px, mode="constant")
@@ -239,7 +241,8 @@ def _smooth(
         return total / (share + _COARSER)
     pooled = _halved(weight)
     mean = _halved(value * weight) / np.where(pooled > 0, pooled, 1.0)
-    y, x = (np.arange(size) / 2 - 0.25 for size in value.shape)  # centres of the coarse pixels
+    # Coarse coordinates of the pixel centres: a coarse pixel covers two pixels per axis.
+    y, x = (np.arange(size) / 2 - 0.25 for size in value.shape)
     coarse = map_coordinates(
         _smooth(mean, pooled, sigma_px), np.meshgrid(y, x, indexing="ij"), order=1, mode="nearest"
     )
@@ -247,7 +250,7 @@ def _smooth(
 
 
 def _halved(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "hh hw"]:
-    """Return means of 2 x 2 pixels; values beyond the border are 0."""
+    """Return means over blocks of 2 x 2 pixels; beyond the border, pixels count as 0."""
     rows, columns = image.shape
     even = np.pad(image, ((0, rows % 2), (0, columns % 2)))
     return even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean(axis=(1, 3))
@@ -259,14 +262,14 @@ def _halved(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "hh hw"]:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Bend:
-    """Displacement of world points along their camera rays, by a ratio for each pixel."""
+    """Displacement of world points along their camera rays; depth is multiplied by a ratio."""
 
     T_world_cam: Float[np.ndarray, "4 4"]
     camera: Optics
     log_ratio: Float[np.ndarray, "h w"]
 
     def shift_m(self, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Return the shift of points; 0 behind the camera, the nearest pixel's beyond the edges."""
+        """Return the shift of points; 0 behind the camera, outside the picture as at its border."""
         pixel = self._pixel(point_m)
         front = np.isfinite(pixel).all(axis=1)
         growth = np.zeros(len(pixel))
@@ -277,8 +280,8 @@ class _Bend:
     def _pixel(self, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         point = transform_points(inverse(self.T_world_cam), point_m)
         height_px, width_px = self.log_ratio.shape
-        # A lens model may fold back outside the picture, so rays are limited to the rays of the
-        # picture's border before they are projected.
+        # Outside the picture, lens distortion may map two rays to one pixel, so rays are clipped to
+        # the picture's border before they are projected.
         border = pixel_grid(height_px, width_px)
         border = np.concatenate([border[[0, -1]].reshape(-1, 2), border[:, [0, -1]].reshape(-1, 2)])
         ray = rays(self.camera, border)[:, :2]
@@ -288,8 +291,8 @@ class _Bend:
         return np.clip(pixel, 0, [width_px - 1, height_px - 1])
 
 
-# A face has corners 0 to 2; the midpoints of its edges 01, 12 and 20 are 3 to 5. Each entry lists
-# the faces that replace it; its index has bits 1, 2 and 4 for the edges that are split.
+# A face has corners 0 to 2; points 3 to 5 are the midpoints of its edges 01, 12 and 20. Each entry
+# lists the faces that replace it; the index has the bits 1, 2 and 4 for the edges that are split.
 _PIECES = (
     ((0, 1, 2),),
     ((0, 3, 2), (3, 1, 2)),
@@ -302,7 +305,7 @@ _PIECES = (
 )
 
 
-_STEPS = 4  # A face and the smooth shape are compared at points, with this many steps per edge.
+_STEPS = 4  # A face is compared with the smooth shape at a grid of points: steps per edge.
 _WITHIN = np.array(
     [(i, j, _STEPS - i - j) for i in range(_STEPS + 1) for j in range(_STEPS + 1 - i)]
 ) / float(_STEPS)
@@ -311,14 +314,14 @@ _WITHIN = np.array(
 def _split(mesh: Mesh, bend: _Bend) -> Mesh:
     """Return the same surface with smaller faces where it bends, and without shading normals.
 
-    trimesh's subdivide_to_size splits all edges of a face, even if the neighbour keeps them, which
-    opens cracks. Here an edge is split for both of its faces or not at all, and a face requests
-    only the split of its longest edge, so that faces do not become slivers.
+    trimesh's `subdivide_to_size` may split an edge in only one of its two faces, which opens
+    cracks. Here, an edge is split in both faces or not at all, and a face requests only the split
+    of its longest edge, so that faces do not become slivers.
     Source: M.-C. Rivara, "Algorithms for refining triangular grids suitable for adaptive and
     multigrid techniques", 1984.
     """
     vertices_m, faces, uv = mesh.vertices_m, mesh.faces, mesh.corner_uv
-    new = np.arange(len(faces))  # faces to check; flat ones are not checked again
+    new = np.arange(len(faces))  # Faces to check; faces that were not split are not checked again.
     while True:
         edge, of_face = _edges(faces)
         length_m = np.linalg.norm(np.diff(vertices_m[edge], axis=1)[:, 0], axis=1)
@@ -343,7 +346,7 @@ def _split(mesh: Mesh, bend: _Bend) -> Mesh:
 def _curved(
     corner_m: Float[np.ndarray, "f 3 3"], longest_m: Float[np.ndarray, " f"], bend: _Bend
 ) -> Bool[np.ndarray, " f"]:
-    """Return a mask of the faces to split: too long, or too far from the smooth shape."""
+    """Return a mask of the faces that are too long or too far from the smooth shape."""
     curved = longest_m > _LONGEST_M
     candidates = np.flatnonzero(~curved & (longest_m > EDGE_M))
     point_m = np.einsum("pk,fki->fpi", _WITHIN, corner_m[candidates])
@@ -364,7 +367,7 @@ def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[n
 def _pieces(
     pattern: Int[np.ndarray, " f"],
 ) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, "g 3"]]:
-    """Return the faces after a split: each one's former face, and its corners in `_PIECES`."""
+    """Return each new face's former face (as an index) and its three corners (0 to 5)."""
     owners, pieces = [], []
     for kind, faces in enumerate(_PIECES):
         mine = np.flatnonzero(pattern == kind)

@@ -1,4 +1,4 @@
-"""Real views of the bin, empty or not: depth maps or organised clouds, and colour pictures."""
+"""Real views of a bin, empty or with parts: depth maps or organised clouds, and colour pictures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,12 +20,12 @@ from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot
 SHARED_M = 2e-3  # Two depths that differ by less belong to one surface.
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
-_NORMALS_ACROSS = 400  # Normals use neighbours 1/200 of the picture away, at least 2 pixels.
+_NORMALS_ACROSS = 400  # Normals use neighbours 1/400 of the picture's width away on either side.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Every n-th pixel of a view: a camera with only those pixels, and z-depth [m] or NaN."""
+    """Every n-th pixel of a view: a camera with only these pixels, and z-depth [m] or NaN."""
 
     camera: Optics
     depth_m: Float[np.ndarray, "rows columns"]
@@ -59,7 +59,7 @@ class BinView:
             )
 
     def grid(self, across: int) -> Grid:
-        """Return every n-th pixel, about `across` along the longer side."""
+        """Return every n-th pixel, so that the longer side has about `across` pixels."""
         step, camera = self.step(across), self.camera
         depth_m = self.depth_m[::step, ::step]
         rows, columns = depth_m.shape
@@ -75,10 +75,10 @@ class BinView:
         return Grid(camera=coarse, depth_m=depth_m)
 
     def cloud(self, count: int = 20_000) -> Float[np.ndarray, "n 6"]:
-        """Return places [m] and unit normals of about `count` points spread over the picture.
+        """Return positions [m] and unit normals of about `count` points in the camera frame.
 
-        They are in the camera frame; normals point to the camera. Pixels next to a gap have no
-        normal and are left out.
+        The points are on a regular grid of pixels, and normals point to the camera. Pixels next to
+        a gap have no normal and are left out.
         """
         height_px, width_px = self.depth_m.shape
         known = np.isfinite(self.depth_m).mean()
@@ -94,7 +94,7 @@ class BinView:
         return both[np.isfinite(both).all(axis=-1)]
 
     def step(self, across: int) -> int:
-        """Return the n for which every n-th pixel makes about `across` on the longer side."""
+        """Return the step between pixels that leaves about `across` pixels on the longer side."""
         return max(1, round(max(self.depth_m.shape) / max(across, 1)))
 
 
@@ -104,13 +104,13 @@ def read_views(
     """Read all views, which must come from one camera that did not move.
 
     Args:
-        paths: depth files, folders in the form of `import_real`, and scene folders of Graycast's
+        paths: depth files, folders in the layout of `import_real`, and scene folders of Graycast's
             datasets, which contain their own camera and colours.
-        rgb: a picture for each depth file in the same order, or none.
-        own: the configuration's camera, for files of the same size without a camera.
+        rgb: a picture for each depth file, in the same order, or no pictures.
+        own: the configuration's camera, for depth of the same size that has no intrinsics.
 
     Raises:
-        GraycastError: a file is missing, damaged or of another form, or cameras differ.
+        GraycastError: a file is missing, damaged or of a wrong form, or the cameras differ.
     """
     files = [path for path in paths if not path.is_dir()]
     if rgb and len(rgb) != len(files):
@@ -160,10 +160,10 @@ def _read(shot: RealPicture, options: FileOptions, own: Optics) -> BinView:
 
 
 def _read_scene(scene: Path) -> list[BinView]:
-    """Return the scanner's views in a scene of one of Graycast's datasets.
+    """Read the scanner's views in a scene of one of Graycast's datasets.
 
     Raises:
-        DatasetError: `scene_camera_sl.json` is damaged or incomplete, or a picture is.
+        DatasetError: `scene_camera_sl.json` or a picture is damaged or incomplete.
     """
     files, views = SceneFolder(scene), []
     try:
@@ -197,20 +197,21 @@ def _view(name: str, images: ShotData, distortion: Sequence[float]) -> BinView:
     return BinView(name=name, camera=camera, depth_m=images.depth_m, rgb=images.rgb)
 
 
-# --- the empty bin from views of a full one ------------------------------------------------------
+# --- the empty bin from views with parts ---------------------------------------------------------
 
 
 def empty_view(views: Sequence[BinView]) -> BinView:
-    """Combine views into one view of the bin as if it were empty.
+    """Combine views of a bin with different parts into one view of the empty bin.
 
-    Parts are in front of the bin, never behind it. Where at least two views see the bin, they
-    agree, and a farther depth, which is an error, is in one view only. Leaves out: parts at the
-    same place in two views if all other views are covered there, too.
+    Parts are in front of the bin, so each pixel takes the farthest depth on which two views agree;
+    a farther depth in a single view is an error. If all views have pictures, a pixel's colour is
+    the mean of the views that see the bin there.
 
-    A pixel's colour is the mean of the views that see the bin there, if all views have pictures.
+    Leaves out: parts at the same place in two views are mistaken for the bin if the bin is hidden
+    there in all other views.
 
     Raises:
-        DatasetError: there are fewer than two views, or they share too little.
+        DatasetError: there are fewer than two views, or they agree at too few pixels.
     """
     if len(views) < 2:
         raise DatasetError(
@@ -237,7 +238,7 @@ def farthest_shared(depth_m: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h
     ordered = np.sort(np.where(np.isnan(depth_m), -np.inf, depth_m), axis=0)[::-1]
     shared = np.full(depth_m.shape[1:], np.nan)
     for farther, nearer in pairwise(ordered):
-        with np.errstate(invalid="ignore"):  # infinity minus infinity where neither has depth
+        with np.errstate(invalid="ignore"):  # Without depth in both, this is infinity - infinity.
             agree = np.isnan(shared) & (farther - nearer < SHARED_M)
         shared[agree] = (0.5 * (farther + nearer))[agree]
     return shared
@@ -246,7 +247,7 @@ def farthest_shared(depth_m: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h
 def _mean_color(
     pictures: Sequence[UInt8[np.ndarray, "h w 3"]], sees: Bool[np.ndarray, "n h w"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the mean colour of the views that see the bin, or of all views if none sees it."""
+    """Return the mean colour of the views that see the bin; if no view does, of all views."""
     weight = np.where(sees.any(axis=0), sees, True)[..., None].astype(np.float64)
     mean = (np.stack(pictures) * weight).sum(axis=0) / weight.sum(axis=0)
     return np.round(mean).astype(np.uint8)

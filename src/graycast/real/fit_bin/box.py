@@ -1,6 +1,6 @@
-"""Open box as flat rectangles, for finding the first on a ray and the nearest to a point.
+"""Open box of flat rectangles: intersection with rays, and nearest rectangles to points.
 
-World frame: origin in the middle of the inner floor, z up; each rectangle is normal to an axis.
+World frame: origin in the middle of the inner floor, z up. Each rectangle is normal to an axis.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from ...base.kernels import kernel
 from .bin_views import Grid
 from .shape import COS_ALIKE, NO_FACE, BinShape
 
-# Content begins at the first height above the floor; the second adds room for walls and pose error.
+# Contents are at least _RAISED_M above the floor; _AROUND_M leaves room for walls and pose errors.
 _RAISED_M, _AROUND_M = 0.015, 0.025
 
 
@@ -54,7 +54,7 @@ class OpenBox:
 
     @property
     def turns(self) -> int:
-        """Number of turns about z that map the box to itself: 4 if it is square, else 2."""
+        """Order of the rotational symmetry about z: 4 if the box is square, else 2."""
         return 4 if abs(self.inner_m[0] - self.inner_m[1]) <= 1e-3 else 2
 
     def nearest(
@@ -99,28 +99,28 @@ class OpenBox:
         *,
         content: float = 0.0,
     ) -> Float[np.ndarray, " p"]:
-        """Return `votes` as a mean over camera rays with z = 1, all of which have depth.
+        """Return `votes` of each pose as a mean over rays (with z = 1) that all have depth.
 
         Args:
             tolerance_m: tolerance of each face, or one tolerance for all faces.
-            content: additional value of a point above the floor and within the box or its
+            content: additional value of a point that is above the floor and inside the box or its
                 walls.
         """
         each_m = np.broadcast_to(np.float64(tolerance_m), len(self.names)).copy()
         faces = np.stack([self.low_m, self.high_m]), self.axis, each_m
         inner_m = np.array(self.inner_m)
-        # Slices of a grid have another memory layout, for which the kernel would be compiled again.
+        # Slices of a grid are not contiguous, so the kernel would be compiled again for them.
         views = [np.ascontiguousarray(values) for values in (T_world_cam, ray, depth_m)]
         return _evidence(*views, *faces, inner_m, content)
 
 
 def stand_in(shape: BinShape) -> OpenBox:
-    """Return a box of about the same shape, for a first search."""
+    """Return the shape itself if it is a box, else a box of the same inner size."""
     return shape if isinstance(shape, OpenBox) else open_box(shape.inner_m)
 
 
 def open_box(inner_m: tuple[float, float, float], wall_m: float | None = None) -> OpenBox:
-    """Return floor and four walls seen from inside; with `wall_m`, also the outside and the rim."""
+    """Return a box with floor and four inner walls; with `wall_m`, also outer walls and rim."""
     x, y, height = inner_m[0] / 2, inner_m[1] / 2, inner_m[2]
     faces = [("floor", (-x, -y, 0.0), (x, y, 0.0), 2, 1.0)]
     for name, sign in (("+", 1.0), ("-", -1.0)):
@@ -205,7 +205,7 @@ def _evidence(T_world_cam, ray, depth_m, corner_m, axis, tolerance_m, inner_m, c
 
 @kernel()
 def _raised_within(T, way, depth_m, inner_m):
-    """Return whether a point is above the floor, not above the rim, and within or on the walls."""
+    """Return whether the point on a ray is inside the box or its walls, and above the floor."""
     x, y = abs(T[0, 3] + depth_m * way[0]), abs(T[1, 3] + depth_m * way[1])
     z = T[2, 3] + depth_m * way[2]
     inside = x < inner_m[0] / 2 + _AROUND_M and y < inner_m[1] / 2 + _AROUND_M

@@ -33,9 +33,10 @@ from .shape import BinShape
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinFit:
-    """The fit; `apart` has the difference of each view's own pose from the common pose [m, rad].
+    """A fitted bin: shape and pose of the bin as drawn, look, and the bent bin with its own pose.
 
-    `shape` and `pose` belong to the bin as drawn; `bent` has its own mesh and pose.
+    `apart` has, for each view, the distance [m] and angle [rad] between the pose fitted to this
+    view alone and the common pose.
     """
 
     views: tuple[str, ...]
@@ -47,7 +48,7 @@ class BinFit:
 
 
 def shape_of(box: Bin, *, wall_known: bool = True) -> BinShape:
-    """Return the faces of a bin; a box without known walls has neither rim nor outside."""
+    """Return the shape of a bin; a box without known wall thickness has no rim or outer walls."""
     if box.mesh is not None:
         return mesh_shape(box)
     return open_box(box.inner_m, box.wall_m if wall_known else None)
@@ -61,10 +62,10 @@ def fit_pose(
     seed: int,
     stated: Float[np.ndarray, "4 4"] | None = None,
 ) -> BinFit:
-    """Return the pose from all views together, and each view's difference, which shows the spread.
+    """Fit one pose to all views, and one to each view alone, which shows the spread.
 
     Raises:
-        GraycastError: nothing in the views looks like the bin.
+        GraycastError: no surface in the views agrees with the bin.
     """
     pose = find_pose(views, shape, azimuth_rad=azimuth_rad, seed=seed, stated=stated)
     alone = [settle([view], shape, pose.T_world_cam) for view in views if len(views) > 1]
@@ -86,7 +87,7 @@ def with_look(
     device: str,
     seed: int,
 ) -> BinFit:
-    """Return the fit with colours and light that make the cell's pictures look like the views'.
+    """Add colours and light to the fit, so that rendered pictures resemble the views' pictures.
 
     Raises:
         GraycastError: see `fit_look`, or there is no such device.
@@ -106,7 +107,7 @@ def with_look(
 
 
 def with_bend(fit: BinFit, cell: Cell, views: Sequence[BinView]) -> BinFit:
-    """Return the fit with the mesh bent to the views; a fit that `write_fit` refuses is unchanged.
+    """Add the bent bin to the fit, unless the views do not determine its pose (`PoseFit.loose`).
 
     Raises:
         GraycastError: see `bent_bin`.
@@ -117,10 +118,10 @@ def with_bend(fit: BinFit, cell: Cell, views: Sequence[BinView]) -> BinFit:
 
 
 def read_frames(white: Path, black: Path, view: BinView) -> Frames:
-    """Read two frames of the measuring camera, as shares of the range of their files' numbers.
+    """Read two frames of the measuring camera as grey values from 0 to 1.
 
     Raises:
-        GraycastError: a file cannot be read, or is of another size than the view.
+        GraycastError: a file cannot be read, or its size differs from the view's.
     """
     frames = [read_gray(path) for path in (white, black)]
     for path, frame in zip((white, black), frames, strict=True):
@@ -145,13 +146,13 @@ def write_fit(
         fit: the fit to write.
         cell: cell of the configuration `base`.
         views: the fitted views.
-        base: the configuration whose text is kept.
-        out: the new configuration.
+        base: the configuration file whose text the new file keeps, except for the fitted keys.
+        out: the new configuration file.
         mesh: file for the mesh of a bent bin, in the folder of `out`.
 
     Raises:
-        GraycastError: a file exists already, or cannot be written; or the views do not determine
-            all degrees of freedom of the pose, so that there is nothing to write.
+        GraycastError: a file exists already or cannot be written, or the views do not determine
+            all degrees of freedom of the pose.
     """
     if fit.pose.loose:
         raise GraycastError(
@@ -174,7 +175,7 @@ def write_fit(
 
 
 def azimuth_of(config: Config) -> float:
-    """Return the direction of the camera's x axis in the world, from a configuration [rad]."""
+    """Return the azimuth [rad] of the camera's x axis in the world, from a configuration."""
     T = config.view.T_world_cam
     return math.radians(config.view.azimuth_deg) if T is None else math.atan2(T[4], T[0])
 
@@ -183,7 +184,7 @@ def azimuth_of(config: Config) -> float:
 
 
 def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Mapping[str, Any]]:
-    """Return the keys of a configuration that were fitted, with their new values.
+    """Return the fitted keys of the configuration with their new values.
 
     `mesh` is the file of a bent bin, in the folder of the configuration.
     """
@@ -214,9 +215,9 @@ def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Map
 
 
 def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any]:
-    """Return a bin's section with the bent mesh instead of the former shape.
+    """Return the section of a bin with the bent mesh instead of the former shape.
 
-    The mesh's file has no texture, so the wood of a box or a mesh's texture becomes one colour.
+    The mesh file has no texture, so the wood of a box or the texture of a mesh becomes one colour.
     """
     other = ("inner_m", "wall_m", "mesh", "unit", "up_axis")
     words: dict[str, Any] = {"mesh": mesh.name, "unit": "m"}
@@ -228,14 +229,14 @@ def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any
 
 
 def _numbers(T: Float[np.ndarray, "4 4"]) -> list[float]:
-    """Return a pose's numbers, rounded to 1e-9, without a minus before 0."""
+    """Return the 16 numbers of a pose, rounded to 1e-9, with 0.0 instead of -0.0."""
     return [round(float(value), 9) + 0.0 for value in T.ravel()]
 
 
 def _words(
     material: Material, color: tuple[float, float, float], section: MaterialSection | None
 ) -> dict[str, Any]:
-    """Return the material's keys with that colour; all else comes from the configuration."""
+    """Return the section of a material with another colour and otherwise unchanged keys."""
     rounded = [round(band, 4) for band in color]
     return material_words(material, section) | {"base_color": rounded}
 
@@ -271,7 +272,7 @@ def _comments(fit: BinFit, base: Path) -> dict[str, str]:
 
 
 def described(fit: BinFit) -> dict[str, Any]:
-    """Return the fit for JSON, in SI units, with None for unknown values."""
+    """Return the fit as a dictionary for JSON, in SI units, with None for unknown values."""
     pose, look = fit.pose, fit.look
     content = {
         "views": fit.views,

@@ -1,16 +1,16 @@
-"""The look of walls, floor and table, and the level of the lamps, from pictures of the empty bin.
+"""Fit of the colours of walls, floor and table, and of the lamps' level, to pictures of a bin.
 
-The configuration's renderer draws the fitted bin in the configuration's light, and the reflectances
-are changed until the drawn picture has the colours of the real one (median over the pixels of a
-surface): so shading, shadows, gloss and light from wall to wall are included.
+The configuration's renderer renders the fitted empty bin in the configured light, and reflectances
+are changed until the rendered colour of each surface (median over its pixels) equals the real one.
+This accounts for shading, shadows, gloss and light from wall to wall.
 
-A picture alone gives only products: light times reflectance times exposure. Colours are therefore
-relative to the floor, whose mean reflectance is stated, and to the lamps' own colours. The level of
+A picture gives only the product of light, reflectance and exposure. Colours are therefore relative
+to the floor, whose mean reflectance the user states, and to the lamps' own colours. The level of
 lamps and environment stays as configured, unless there are two frames of the measuring camera, with
 white and with black projected: their ratio compares lamps with projector for any reflectance.
 
-Leaves out: textures (a surface gets one colour), gloss (the configuration's), the reflectance at
-the projector's wavelength (the configuration's), and lamps that are not where they are configured.
+Leaves out: textures, because a surface gets one colour. Gloss, reflectance at the projector's
+wavelength and the positions of lamps stay as configured.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,7 +38,7 @@ _ACROSS_PX = 256
 _SAMPLES = 64
 _ROUNDS = 12
 _SETTLED = 0.003  # Iteration stops when all relative changes of reflectance are smaller.
-_EXPONENT = 0.9  # This damps a step, as light between walls grows faster than reflectance.
+_EXPONENT = 0.9  # It damps each step, because light between walls grows faster than reflectance.
 _LEAST_PX = 60
 _NEAR_M = 0.004  # largest distance between a surface and the depth of its pixels
 _DARK, _BRIGHT = 6, 250  # Darker 8-bit values are noise, and brighter ones are clipped.
@@ -48,7 +48,7 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frames:
-    """Two linear frames of the measuring camera in one exposure, without its dark level."""
+    """Linear frames under a white and a black pattern, with one exposure and no dark level."""
 
     white: Float[np.ndarray, "h w"]
     black: Float[np.ndarray, "h w"]
@@ -58,9 +58,9 @@ class Frames:
 class BinAppearance:
     """Linear reflectances of the surfaces that the pictures show.
 
-    `pixels` counts the compared pixels; `off` is the largest remaining relative difference of a
-    band. `light_scale` multiplies lamps and environment; None means unknown, so they do not change.
-    `exposure` is the picture's linear value per radiance [1 / (W sr^-1 m^-2)].
+    `pixels` counts the compared pixels; `off` is the largest remaining relative difference in any
+    colour band. `light_scale` is a factor on lamps and environment; None means unknown.
+    `exposure` is the linear value of the picture per radiance [1 / (W sr^-1 m^-2)].
     """
 
     reflectance: Mapping[str, Color]
@@ -84,14 +84,14 @@ def fit_look(
     """Return the colours with which the renderer reproduces the views' pictures.
 
     Args:
-        cell: the configuration with the fitted bin's size.
-        shape: the whole bin of the cell, including rim and outside.
-        floor_reflectance: mean of the floor's three bands; None takes the configuration's floor.
-        frames: two frames of the first view's camera.
+        cell: the resolved configuration, with the fitted size of the bin.
+        shape: the shape of the cell's bin, including rim and outer walls.
+        floor_reflectance: mean of the floor's three bands; None takes it from the configuration.
+        frames: two frames of the first view's camera; None leaves the level of the lamps.
 
     Raises:
-        GraycastError: no view has a picture, a picture shows too little, a surface would have to
-            reflect more than all light, or the configuration has no light.
+        GraycastError: no view has a picture, too little of the floor is usable, a surface would
+            have to reflect more light than it receives, or the configuration has no light.
     """
     views = [view for view in views if view.rgb is not None]
     if not views:
@@ -141,7 +141,7 @@ def mean_color(material: Material) -> Color:
 
 
 def recolored(material: Material, color: Color) -> Material:
-    """Return a material with one other colour and no mottle, because that limits the colour."""
+    """Return a material with one colour, no texture and no mottle, which would limit the colour."""
     return replace(material, base_color=color, texture=None, mottle=0.0)
 
 
@@ -151,7 +151,7 @@ def _materials(scene: Scene) -> dict[str, Material]:
 
 
 def _scene_of_view(scene: Scene, grid: Grid, T_world_cam: Float[np.ndarray, "4 4"]) -> Scene:
-    """Return the empty cell with the view's pose and the camera of the grid."""
+    """Return the cell without parts, with the fitted pose and the camera of the grid."""
     rig = replace(scene.rig, camera=grid.camera, speckle_contrast=0.0)
     return replace(scene, rig=rig, T_world_cam=T_world_cam.copy(), parts=())
 
@@ -173,7 +173,7 @@ def _render(
 
 
 def _picture(rendering: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, "h w 3"]:
-    """Return the light of the colour picture, with scaled lamps."""
+    """Return the radiance of the colour picture, with lamps and environment times `scale`."""
     radiance = rendering.radiance
     rgb = scale * radiance.ambient_rgb + idle_share(rig) * radiance.white_rgb
     if not rgb.max() > 0:
@@ -187,20 +187,21 @@ def _picture(rendering: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, 
 def _masks(
     view: BinView, shape: BinShape, floor_m: float, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> dict[str, Bool[np.ndarray, "rows columns"]]:
-    """Return a mask of each surface where geometry and depth agree and its picture is usable.
+    """Return masks of each surface: pixels whose depth agrees and whose colour is usable.
 
-    `..._depth` does not depend on the picture. The table is `floor_m` below the floor.
+    Masks whose name ends in `_depth` do not depend on the colour. The table is `floor_m` below the
+    inner floor.
     """
     grid, step = view.grid(_ACROSS_PX), view.step(_ACROSS_PX)
     face, _ = shape.cast(T_world_cam, grid)
     point = transform_points(T_world_cam, grid.point_m)
-    # A ray that misses the bin can only hit the table, which is level with the bin's bottom.
+    # A ray that misses the bin can only hit the table, on which the bin stands.
     missed = face == NO_FACE
     off_m = np.where(missed, point[..., 2] + floor_m, height_over(shape, point, face))
     bin_surface = np.where(is_floor(shape)[face], *map(SURFACES.index, ("floor", "walls")))
     surface = np.where(missed, SURFACES.index("table"), bin_surface)
     label = np.where(np.abs(off_m) < _NEAR_M, surface, NO_FACE)
-    alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # All neighbours are equal.
+    alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # all neighbours have one label
     rgb = _rgb(view)[::step, ::step]
     usable = ((rgb >= _DARK) & (rgb <= _BRIGHT)).all(axis=-1)
     masks = {}
@@ -224,9 +225,9 @@ def _ratios(
     names: Sequence[str],
     step: int,
 ) -> dict[str, Float[np.ndarray, "3"]]:
-    """Return each surface's ratio of real to rendered colour: median of pixels, mean of views.
+    """Return each surface's ratio of real to rendered colour: median over pixels, mean over views.
 
-    Each view has its own exposure, which the colour of its floor cancels.
+    Before the mean, ratios are divided by the floor's, because each view has its own exposure.
     """
     relative: dict[str, list[np.ndarray]] = {name: [] for name in names}
     floors = []
@@ -247,7 +248,7 @@ def _stepped(color: Color, relative: Float[np.ndarray, "3"]) -> Color:
 def _two_lights(
     rendering: Rendering, rig: Rig
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], float]:
-    """Return the projector's white and all other light on the camera's sensor, and the leak."""
+    """Return the projector's white light and all other light on the sensor, and the black leak."""
     radiance = rendering.radiance
     both = [radiance.white, radiance.ambient]
     white, ambient = (veiled(one, rig.veil) for one in both) if rig.veil else both
@@ -264,16 +265,17 @@ def light_scale(
 ) -> float:
     """Return the factor on lamps and environment that gives the measured ratio of black to white.
 
-    With the projector's light w, its leak b w in black, and the lamps' light a times s, the frames
-    have the ratio `r = (b w + s a) / (w + s a)`, so `s = w (r - b) / (a (1 - r))` on any surface:
-    light from wall to wall changes both lights nearly equally. The result is the pixels' median.
+    With the projector's light w, its leak b w in black, and the lamps' light a times s, the ratio
+    of black to white is `r = (b w + s a) / (w + s a)`, so `s = w (r - b) / (a (1 - r))`. This is
+    independent of reflectance, because light from wall to wall changes w and a nearly equally. The
+    result is the median over the pixels.
 
     Args:
         white: rendered light w of the projector.
         ambient: rendered light a of the lamps as configured.
         leak: share b of the projector's light that remains in black.
-        frames: measured frames, of which every n-th pixel is used; `step` is n.
-        lit: the pixels to use.
+        frames: measured frames, in which every `step`-th pixel is used.
+        lit: a mask of the pixels to use.
 
     Raises:
         GraycastError: too few pixels are bright, unclipped, and lit by projector and lamps.

@@ -1,7 +1,7 @@
-"""Bin's mesh as flat faces, for finding the face that a pixel shows and the nearest to a point.
+"""Mesh of a bin as flat faces: visible faces in a picture, and nearest faces to points.
 
-A face's direction decides its surface: the inner floor, other faces that point up (rims, ledges),
-and the insides and outsides of the four walls, as seen from the bin's middle.
+The direction of a face decides its surface: the inner floor, other faces that point up (rims and
+ledges), and faces of the four walls that point to or away from the bin's middle.
 """
 
 from dataclasses import dataclass, field
@@ -31,10 +31,10 @@ _REACH_M = 0.05  # Faces farther away than this are ignored.
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshShape:
-    """Triangles in the world frame, and samples on them for finding the nearest face of a point.
+    """Triangles in the world frame, with samples on them to find the nearest face to a point.
 
-    A sample's face is flat, so a point's distance from the plane is exact; its distance along the
-    face is as precise as the samples' spacing, a few millimetres.
+    A point's distance from the plane of the face is exact; its distance along the plane is as
+    precise as the spacing of the samples, a few millimetres.
     """
 
     mesh: Mesh
@@ -45,7 +45,7 @@ class MeshShape:
     offset_m: Float[np.ndarray, " f"]
     axis: Int[np.ndarray, " f"]
     spacing_m: float
-    # For each axis and sign of the normal: samples of the faces, and each sample's face.
+    # For each axis and sign of the normal: a tree of samples, and the face of each sample.
     trees: tuple[tuple[cKDTree, Int[np.ndarray, " _"]] | None, ...] = field(repr=False)
 
     @property
@@ -96,7 +96,7 @@ class MeshShape:
 
 
 def mesh_shape(box: Bin) -> MeshShape:
-    """Return the faces of a bin that has a mesh.
+    """Return the shape of a bin that has a mesh.
 
     Raises:
         ValueError: the bin is a box.
@@ -125,7 +125,7 @@ def mesh_shape(box: Bin) -> MeshShape:
 
 
 def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, " n"]]:
-    """Return six masks, of the normals nearest to +x, -x, +y, -y, +z and -z."""
+    """Return six masks of the normals that are nearest to +x, -x, +y, -y, +z and -z."""
     axis = np.abs(normal).argmax(axis=1)
     positive = normal[np.arange(len(normal)), axis] > 0
     return [(axis == a) & (positive == sign) for a in range(3) for sign in (True, False)]
@@ -134,8 +134,8 @@ def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, " n"]]:
 def _spread(
     corner: Float[np.ndarray, "f 3 3"], area_m2: Float[np.ndarray, " f"]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Return points spread evenly over the mesh plus all centroids, and the face of each point."""
-    rng = np.random.default_rng(0)  # The seed is fixed, so a fit depends on its input alone.
+    """Sample points evenly on the mesh, add all centroids, and return also each point's face."""
+    rng = np.random.default_rng(0)  # The seed is fixed, so that a fit depends only on its input.
     place = (np.arange(_SAMPLES) + rng.random(_SAMPLES)) / _SAMPLES
     owner = np.searchsorted(np.cumsum(area_m2) / area_m2.sum(), place).clip(0, len(corner) - 1)
     u, v = rng.random((2, _SAMPLES))
@@ -149,7 +149,7 @@ def _spread(
 def _surfaces(
     box: Bin, mesh: Mesh, middle_m: Float[np.ndarray, "f 3"], normal: Float[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, " f"]:
-    """Return the surface of each face as an index into `NAMES`."""
+    """Return, for each face, the index of its surface in `NAMES`."""
     axis = np.abs(normal).argmax(axis=1)
     each = np.arange(len(normal))
     sign = np.sign(normal[each, axis])

@@ -1,7 +1,7 @@
-"""The bin's pose from depth, with its evidence: residuals by face, and undetermined freedoms.
+"""Fit of a bin's pose to depth, with residuals for each surface and undetermined freedoms.
 
-Leaves out: walls that lean, bend or bulge, rounded edges, and scanner errors common to all points;
-the residuals by face show such errors.
+Leaves out: walls that lean, bend or bulge, rounded edges, and scanner errors common to all points.
+The residuals of the surfaces show such errors.
 """
 
 from collections.abc import Sequence
@@ -20,29 +20,29 @@ from .shape import NO_FACE, BinShape, height_over
 from .start import start_poses
 
 FREEDOMS = ("x", "y", "z", "about x", "about y", "about z")  # in the bin's frame
-_LEAST_INLIERS = 60  # Fewer points on the faces across an axis do not fix the shift along it.
-_FINE_M = 0.005  # Evidence for a start falls to 0 over this distance.
+_LEAST_INLIERS = 60  # Fewer points on faces normal to an axis do not determine the shift along it.
+_FINE_M = 0.005  # tolerance of the votes that compare poses
 _SEARCH_PX = 64
-_NEARLY_SQUARE = 0.8  # Above this ratio of width to length, a quarter turn is tried as well.
+_NEARLY_SQUARE = 0.8  # Above this ratio of width to length, the pose turned by 90 degrees is tried.
 _STARTS, _FINALISTS = 10, 4  # start poses per plane; poses that are refined to the end
-_LEAST_AGREEING = 0.35  # This share of the depth measured where the bin should be must agree.
+_LEAST_AGREEING = 0.35  # least share of the depth on the bin's pixels that agrees with the bin
 SEARCHED = ("x", "y", "about z")
 _FIRST_M, _LAST_M = 4e-3, 0.05e-3
-_LEVER_M = 0.2  # lever arm [m] that converts a step [m] into a turn
+_LEVER_M = 0.2  # lever arm that converts a step [m] into an angle [rad]
 _ACROSS_PX = 512
 _LEAST_TOLERANCE_M = 0.003
-_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A shift by the first number must lose this many votes.
+_TRY_M, _LEAST_VOTES = 2e-3, 25.0  # A determined pose loses this many votes if shifted by _TRY_M.
 _AROUND_M = np.array([0.01, 0.01, 0.02])  # The bin's space extends this far beyond the bin.
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaceFit:
-    """The agreement of one surface of the bin with the measured depth.
+    """Agreement of one surface of the bin with the measured depth.
 
-    `seen_px` counts the pixels that should show the surface; `measured` is the share of them with
-    depth, `inliers` the share with depth of this surface. The lengths describe signed distances of
-    inliers from its planes, positive on the visible side; they are NaN without inliers.
+    `seen_px` counts the pixels that should show the surface. Of these, the share `measured` has
+    depth, and the share `inliers` has depth that agrees with the surface. The lengths describe the
+    inliers' distances from the plane, positive on the visible side; NaN without inliers.
     """
 
     name: str
@@ -56,11 +56,11 @@ class FaceFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFit:
-    """A pose with its evidence.
+    """A pose with its residuals and uncertainty.
 
-    `sigma` is the standard deviation of each of `FREEDOMS` [m, rad], from the noise in the
-    residuals as if points were independent. It does not apply to `by_edges`: no face determines
-    these freedoms well, but the edges of rim and floor do. Nothing determines those in `loose`.
+    `sigma` is the standard deviation of each of `FREEDOMS` [m, rad], estimated from the residuals
+    under the assumption of independent points. It does not apply to the freedoms in `by_edges`,
+    which only the edges of rim and floor determine. Nothing determines the freedoms in `loose`.
     """
 
     T_world_cam: Float[np.ndarray, "4 4"]
@@ -68,8 +68,8 @@ class PoseFit:
     rms_m: float
     median_m: float  # median absolute residual
     p95_m: float
-    inlier_share: float  # Share of inliers among all measured points in the bin's space
-    agreeing: float  # Smaller of the shares of agreeing depth on floor and walls
+    inlier_share: float  # share of inliers among all measured points in and near the bin
+    agreeing: float  # lower of the shares of agreeing depth on the floor and on the walls
     sigma: Float[np.ndarray, "6"]
     by_edges: tuple[str, ...]
     loose: tuple[str, ...]
@@ -89,13 +89,13 @@ def find_pose(
 ) -> PoseFit:
     """Find the pose from all views together.
 
-    Fits of the shape begin at the rough pose `stated`, or else at likely poses of a box of about
-    the same shape. A box looks the same after half a turn, a square box after a quarter: of these
-    poses, the result is the one whose azimuth (of the camera's x axis in the world) is nearest to
-    `azimuth_rad`.
+    Fits of the shape begin at the rough pose `stated`, or else at likely poses of a box with the
+    same inner size. A box looks the same after a turn of 180 degrees, and a square box after 90.
+    Among these poses, the result has the azimuth of the camera's x axis in the world that is
+    nearest to `azimuth_rad`.
 
     Raises:
-        GraycastError: nothing in the views looks like the bin.
+        GraycastError: no surface in the views agrees with the bin.
     """
     box, starts = stand_in(shape), [] if stated is None else [stated]
     grids = [view.grid(_SEARCH_PX) for view in views]
@@ -111,7 +111,7 @@ def find_pose(
     if box.turns < 4 and min(box.inner_m[:2]) > _NEARLY_SQUARE * max(box.inner_m[:2]):
         quarter = rigid(axis_rotation("z", np.pi / 2), np.zeros(3))
         candidates.append(register(cloud, quarter @ best, shape))
-    # Only the bin's ends distinguish length from width, so edges are compared, too.
+    # Only the ends of the bin distinguish length from width, so `settle` also compares edges.
     turned = [_turned(T, box, azimuth_rad) for T in candidates]
     return _best_settled(views, shape, grids, turned)
 
@@ -122,7 +122,7 @@ def _best_settled(
     grids: Sequence[Grid],
     candidates: Sequence[Float[np.ndarray, "4 4"]],
 ) -> PoseFit:
-    """Return the best settled pose of the candidates; raise the first refusal if all fail."""
+    """Refine all candidates and return the best; raise the first error if all fail."""
     fits, refusals = [], []
     for T in candidates:
         try:
@@ -138,7 +138,7 @@ def _best_settled(
 def _best_first(
     shape: BinShape, grids: Sequence[Grid], poses: list[Float[np.ndarray, "4 4"]]
 ) -> list[Float[np.ndarray, "4 4"]]:
-    """Sort poses by evidence times agreement, because a table has no walls, unlike a bin."""
+    """Sort poses by votes times agreement, best first; a table agrees less, as it has no walls."""
     score = np.maximum(sum(shape.votes(np.stack(poses), grid, _FINE_M) for grid in grids), 0)
     score *= [_agreeing(shape, _match(shape, T, grids)) for T in poses]
     return [poses[i] for i in np.argsort(-score, kind="stable")]
@@ -147,14 +147,14 @@ def _best_first(
 def settle(
     views: Sequence[BinView], shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> PoseFit:
-    """Refine a pose by faces, and by edges where faces fail; return the pose with its evidence.
+    """Refine a pose by faces, and by edges where faces do not determine it.
 
     Raises:
         GraycastError: too little of the measured depth agrees with the bin.
     """
     cloud = np.concatenate([view.cloud() for view in views])
     fit = judge(views, shape, register(cloud, T_world_cam, shape, first_m=3 * LAST_M))
-    # The few measured points of a shadowed wall are often wrong.
+    # The few measured points of a wall in shadow are often wrong, so they get lower weights.
     trust = np.array([face.inliers for face in fit.faces])
     T = register(cloud, fit.T_world_cam, shape, first_m=LAST_M, trust=trust)
     fit = judge(views, shape, T, trust=trust)
@@ -170,12 +170,12 @@ def hold_by_edges(
     loose: Sequence[str],
     noise_m: float,
 ) -> tuple[Float[np.ndarray, "4 4"], tuple[str, ...]]:
-    """Move a pose along loose freedoms to the most evidence; return it and the determined freedoms.
+    """Move a pose along loose freedoms to the most votes; return it and the determined freedoms.
 
-    If walls are missing, in shadow or hardly visible, the place along an axis or the turn about z
-    is not determined. Edges of rim and floor still determine it to a fraction of a pixel, because a
-    shifted pose predicts the rim where depth shows none, and the reverse. The method is pattern
-    search: evidence counts pixels, so it has no derivative.
+    If walls are missing, in shadow or hardly visible, faces do not determine the position along an
+    axis or the turn about z. Edges of rim and floor still do, to a fraction of a pixel, because a
+    shifted pose predicts the rim where depth shows none, and the reverse. The method is a pattern
+    search, because votes count pixels and have no derivative.
 
     Args:
         loose: the degrees of freedom to find; only those in `SEARCHED` are changed.
@@ -221,7 +221,7 @@ def judge(
     *,
     trust: Float[np.ndarray, " s"] | None = None,
 ) -> PoseFit:
-    """Judge a pose by residuals and geometry; `trust` as in `register`.
+    """Compute the residuals and the uncertainty of a pose; `register` explains `trust`.
 
     Raises:
         GraycastError: too little of the measured depth agrees with the bin.
@@ -259,7 +259,7 @@ def judge(
 def difference(
     T_world_cam: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]
 ) -> tuple[float, float]:
-    """Return the distance of the bin's origin in two fits [m], and the angle between them [rad]."""
+    """Return the distance [m] between the bin's origins in two fits, and their angle [rad]."""
     T_a, T_b = inverse(T_world_cam), inverse(other)
     turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude()
     return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(turn)
@@ -298,9 +298,9 @@ def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grids: Sequen
 
 
 def _agreeing(shape: BinShape, match: _Match) -> float:
-    """Return the lower of two agreeing shares: of depth at the floor, and at the walls.
+    """Return the share of measured depth that agrees, on the floor or on the walls (the lower).
 
-    A table can look like a floor, but has no walls; a box on its side has walls, but no floor.
+    A table can look like a floor but has no walls; a box on its side has walls but no floor.
     """
     shares, is_of_floor = [], np.array(shape.names) == "floor"
     for floor in (True, False):
@@ -326,7 +326,7 @@ def _face_fit(shape: BinShape, k: int, match: _Match, pairs: FacePairs) -> FaceF
 
 
 def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
-    """Return standard deviations of the freedoms; inf for those that nothing determines."""
+    """Return the standard deviations of the freedoms; infinite if nothing determines a freedom."""
     size = np.sqrt(np.maximum(np.diag(A), 1e-12))
     value, vector = np.linalg.eigh(A / np.outer(size, size))
     determined = value > 1e-9
@@ -336,7 +336,7 @@ def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
 
 
 def _loose(shape: BinShape, pairs: FacePairs, sigma: Float[np.ndarray, "6"]) -> tuple[str, ...]:
-    """Return the freedoms with a large deviation, or with few points on faces across the axis."""
+    """Return the freedoms with a large deviation or with few points on faces normal to an axis."""
     used = pairs.weight > 0
     along = np.bincount(shape.axis[pairs.face[used]], minlength=3)
     limit = np.array([_LOOSE_M] * 3 + [_LOOSE_RAD] * 3)

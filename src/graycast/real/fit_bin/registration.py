@@ -1,9 +1,9 @@
 """Registration of a scan's points to the faces of the bin: robust point-to-plane ICP.
 
-Every point moves towards the plane of the nearest face with about the same normal. Tukey's weight
-removes clutter; its scale is common to all faces across one axis, so that a precise floor does not
-exclude walls that are measured worse, and two walls farther apart than stated share the error.
-The largest distance of a point that counts shrinks from coarse to fine.
+Each step reduces the distances of points from the plane of the nearest face with a similar normal.
+Tukey's weight excludes other objects. Its scale is common to all faces normal to one axis, so that
+a precise floor does not exclude walls that are measured worse, and two walls farther apart than
+stated share the error. The largest distance of a point that counts shrinks in each step.
 
 Source: Chen & Medioni, "Object modelling by registration of multiple range images", 1992
 (point-to-plane); Beaton & Tukey 1974 (weights).
@@ -19,7 +19,7 @@ from ...base.frames import rigid, transform_points
 from ...base.robust import robust_sigma
 from .shape import BinShape, height_over
 
-FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # Point-to-face limits: first, last, and shrink factor
+FIRST_M, LAST_M, SHRINK = 0.04, 0.006, 0.75  # first and last limit of the distance; factor per step
 _TUKEY = 4.685  # This many standard deviations give an efficiency of 95 %.
 _LEAST_SIGMA_M = 1e-4
 
@@ -33,13 +33,13 @@ def register(
     iterations: int = 60,
     trust: Float[np.ndarray, " s"] | None = None,
 ) -> Float[np.ndarray, "4 4"]:
-    """Return the pose near a first one in which a cloud fits best to the bin's faces.
+    """Return the pose, near a first pose, in which a cloud best fits the faces of the bin.
 
     Args:
-        cloud: places [m] and normals in the camera frame, as in `BinView.cloud`.
+        cloud: positions [m] and normals in the camera frame, as from `BinView.cloud`.
         T_world_cam: the first pose.
-        first_m: largest distance of a point from its face at first.
-        trust: factor on the weights of each surface's points; None means 1.
+        first_m: largest distance of a point from its face in the first step.
+        trust: for each surface, a factor on the weights of its points; None means 1.
     """
     T, reach_m = T_world_cam, first_m
     for _ in range(iterations):
@@ -55,9 +55,9 @@ def register(
 
 @dataclass(frozen=True, slots=True)
 class FacePairs:
-    """Each point's face, height over that face, and weight [1 / m^2], which is 0 for outliers."""
+    """Each point's face, distance from its plane, and weight [1 / m^2], which is 0 for outliers."""
 
-    point: Float[np.ndarray, "n 3"]  # in the world
+    point: Float[np.ndarray, "n 3"]  # in the world frame
     face: Int[np.ndarray, " n"]
     height_m: Float[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
@@ -93,9 +93,9 @@ def pairs_of(
 def equations(
     shape: BinShape, pairs: FacePairs
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6"]]:
-    """Return the normal equations for a small motion (shift, turn) of the points in the world.
+    """Return the normal equations for a small shift t and rotation w of the points in the world.
 
-    A motion of a point by `t + w x p` changes its height over a face by `n . t + (p x n) . w`.
+    A motion of a point by `t + w x p` changes its distance from a face by `n . t + (p x n) . w`.
     """
     used = pairs.weight > 0
     normal = shape.normal[pairs.face[used]]
@@ -105,6 +105,6 @@ def equations(
 
 
 def _solved(A: Float[np.ndarray, "6 6"], b: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-    """Solve for the motion, with damping so weak that it stops only undetermined freedoms."""
+    """Solve for the motion; the weak damping only stops motion along undetermined freedoms."""
     damping = 1e-6 * max(float(np.diag(A).max()), 1.0)
     return np.linalg.solve(A + damping * np.diag([1.0, 1.0, 1.0, 0.01, 0.01, 0.01]), b)

@@ -1,4 +1,4 @@
-"""A picture of the residuals between the depth and the fitted bin."""
+"""Picture of the residuals between the measured depth and the fitted bin."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ _BELOW = (0.5, -0.1)  # position of the legend, as a share of the axes' size
 
 
 def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[BinView], path: Path) -> None:
-    """Write a PNG of the first view's signed residuals, and of each face's spread and agreement.
+    """Draw the first view's signed residuals, and the spread and agreement of each surface, as PNG.
 
     Raises:
         GraycastError: the file cannot be written.
@@ -44,9 +44,9 @@ def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[BinView], pat
 def residual_map(
     view: BinView, shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "rows columns"]:
-    """Return the signed distance [m] of each pixel's point from the face expected there.
+    """Return the signed distance [m] of each pixel's point from the face that is expected there.
 
-    It is NaN where nothing is measured, no face is expected, or something else hides the face.
+    It is NaN where no depth is measured, no face is expected, or something else hides the face.
     """
     grid = view.grid(_ACROSS_PX)
     face, _ = shape.cast(T_world_cam, grid)

@@ -1,4 +1,4 @@
-"""Protocol of a bin for fits: flat faces in the world frame, of a box or of a mesh."""
+"""Protocol for the shape of a bin in fits: the flat faces of a box or a mesh."""
 
 from typing import Protocol, runtime_checkable
 
@@ -8,15 +8,15 @@ from jaxtyping import Bool, Float, Int
 from .bin_views import Grid
 
 NO_FACE = -1
-COS_ALIKE = 0.707  # The normals of a point and of its face differ by at most 45 degrees.
+COS_ALIKE = 0.707  # The normals of a point and its face differ by at most 45 degrees.
 
 
 @runtime_checkable
 class BinShape(Protocol):
-    """Faces in planes `normal . p = offset_m`; several faces may make one surface.
+    """Faces in planes `normal . p = offset_m`, grouped into surfaces such as the floor.
 
-    World frame: origin in the middle of the inner floor, z up. Normals point to the visible side of
-    a face.
+    World frame: origin in the middle of the inner floor, z up. The normal points to the visible
+    side of a face.
     """
 
     @property
@@ -24,7 +24,7 @@ class BinShape(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the surfaces, such as floor and wall +x."""
+        """Names of the surfaces, such as "floor" and "wall +x"."""
         ...
 
     @property
@@ -40,7 +40,7 @@ class BinShape(Protocol):
 
     @property
     def axis(self) -> Int[np.ndarray, " f"]:
-        """Index of the world's axis to which each face is perpendicular, or nearly."""
+        """Index of the world axis that is nearest to each face's normal."""
         ...
 
     @property
@@ -54,27 +54,27 @@ class BinShape(Protocol):
     ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Return the nearest face to each point, and its distance [m].
 
-        Only faces count that are visible from `eye_m` and within 45 degrees of the point's normal;
-        without such a face, the result is `NO_FACE` and inf.
+        Only faces count that face `eye_m` and whose normal is within 45 degrees of the point's
+        normal. Without such a face, the result is `NO_FACE` and infinity.
         """
         ...
 
     def cast(
         self, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid
     ) -> tuple[Int[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-        """Return the first face that each pixel's ray meets, from either side, and its z-depth [m].
+        """Return the first face that each pixel's ray hits, from either side, and its z-depth [m].
 
-        Where a ray meets nothing, the result is `NO_FACE` and inf.
+        If a ray hits no face, the result is `NO_FACE` and infinity.
         """
         ...
 
     def votes(
         self, T_world_cam: Float[np.ndarray, "p 4 4"], grid: Grid, tolerance_m: float
     ) -> Float[np.ndarray, " p"]:
-        """Return the evidence for each pose, summed over the measured pixels.
+        """Return the votes for each pose, summed over the measured pixels.
 
-        A pixel counts 1 if its depth agrees (falling to 0 over `tolerance_m`), -1 if its depth is
-        behind a face, so that the ray would pass through the face, and else 0.
+        A pixel counts 1 if its depth agrees, falling to 0 at a difference of `tolerance_m`. It
+        counts -1 if its depth is behind a face, which would have hidden the point, and else 0.
         """
         ...
 
@@ -82,7 +82,7 @@ class BinShape(Protocol):
 def height_over(
     shape: BinShape, point: Float[np.ndarray, "*n 3"], face: Int[np.ndarray, "*n"]
 ) -> Float[np.ndarray, "*n"]:
-    """Return the signed distance [m] of points from their face's plane; visible side positive."""
+    """Return the distance [m] of points from their face's plane, positive on the visible side."""
     return (shape.normal[face] * point).sum(axis=-1) - shape.offset_m[face]
 
 

@@ -1,10 +1,10 @@
-"""Rough search for the bin without a hint, over planes that may be its floor.
+"""Rough search for the bin on all planes that may be its floor, without a start pose.
 
-A pose is judged by evidence along the rays: depth that agrees with the box counts for the pose,
-depth behind a face of the box counts against it, because the face would have hidden that, and depth
-that is missing or in front of the box does not count. In the search, depth above the floor counts,
-too, if it is in the box or its walls: an empty table next to the bin may look like the floor, but
-then the true walls are outside of the box.
+A pose is scored along the rays: depth that agrees with the box counts for the pose, and depth
+behind a face of the box counts against it, because the face would have hidden that surface. Missing
+depth and depth in front of the box do not count. In this search, depth above the floor also counts
+for the pose if it is inside the box or its walls: an empty table next to the bin may look like the
+floor, but then the true walls are outside the box.
 """
 
 from collections.abc import Callable
@@ -19,23 +19,23 @@ from .shape import is_floor
 
 PLANES = 6  # The floor is one of the largest planes; others are the table and the walls.
 _TRIALS = 400
-_PLANE_M = 0.004  # largest distance of a plane's points from it, with noise
-_LEAST_SHARE = 0.02  # A plane has at least this share of all points.
+_PLANE_M = 0.004  # largest distance of an inlier from its plane, including noise
+_LEAST_SHARE = 0.02  # least share of all points on a plane
 _YAW_STEP_RAD = np.radians(7.5)
-_STEPS = 12  # The box's shorter side is divided into this many steps.
+_STEPS = 12  # number of steps over the shorter side of the box
 _CONTENT = 1.0
-_CLIMBERS = 200  # This many of the best positions are refined.
-_CENTRES = 2000  # About the largest number of positions that are tried on one plane.
+_CLIMBERS = 200  # number of the best poses that are refined
+_CENTRES = 2000  # approximate largest number of positions that are tried on one plane
 _APART = 0.25  # Poses nearer than this share of the box's shorter side count as one.
 
 
 def start_poses(
     box: OpenBox, grid: Grid, *, each: int, seed: int
 ) -> list[Float[np.ndarray, "4 4"]]:
-    """Return `T_world_cam` of likely, clearly different poses on each plane that may be the floor.
+    """Return likely poses `T_world_cam` of the box on each plane that may be its floor.
 
-    With coarse steps, an empty table around the bin may look more like a floor than the floor: so
-    every plane is searched.
+    Every plane is searched, because with coarse steps, an empty table around the bin may score
+    higher than the floor. Poses on one plane are clearly different.
 
     Args:
         grid: a coarse grid.
@@ -44,7 +44,7 @@ def start_poses(
     """
     known = np.isfinite(grid.depth_m)
     ray, depth_m = grid.ray[known], grid.depth_m[known]
-    inside = open_box(box.inner_m)  # the coarse grid does not resolve the walls' thickness
+    inside = open_box(box.inner_m)  # A coarse grid does not resolve the thickness of walls.
     coarse_m = max(
         0.005, min(box.inner_m[:2]) / 2 / _STEPS
     )  # largest distance of a position from the grid
@@ -60,8 +60,8 @@ def start_poses(
     starts = []
     for normal, offset_m in planes(grid.point_m, seed=seed):
         T_world_cam = _poses_on(box, grid.point_m[known], normal, offset_m)
-        # A few rays exclude most positions. If the table is hardly lower than the floor, the fitted
-        # plane is between the two: a larger tolerance keeps it, and refinement corrects it.
+        # A few rays exclude most poses. If the table is hardly lower than the floor, the fitted
+        # plane is between the two: a larger tolerance accepts it, and refinement corrects it.
         likely = np.argsort(-score(T_world_cam, 24, 2 * _PLANE_M), kind="stable")
         T_world_cam = T_world_cam[likely[: 500 + len(likely) // 6]]
         likely = np.argsort(-score(T_world_cam, 4, 2 * _PLANE_M), kind="stable")[:_CLIMBERS]
@@ -75,9 +75,9 @@ def _climbed(
     T_world_cam: Float[np.ndarray, "p 4 4"],
     score: Callable[[Float[np.ndarray, "p 4 4"]], Float[np.ndarray, " p"]],
 ) -> tuple[Float[np.ndarray, "p 4 4"], Float[np.ndarray, " p"]]:
-    """Improve each pose by ever smaller steps; return the poses and their scores.
+    """Improve each pose by smaller and smaller steps; return the poses and their scores.
 
-    A grid that is coarse enough to be fast may miss the only place where floor and walls fit.
+    A grid that is coarse enough to be fast may miss the only pose in which floor and walls fit.
     """
     best, reached = T_world_cam.copy(), score(T_world_cam)
     for part in (0.5, 0.5, 0.25, 0.25, 0.125):
@@ -90,7 +90,7 @@ def _climbed(
 
 
 def _moves(aside_m: float, up_m: float, part: float) -> list[Float[np.ndarray, "4 4"]]:
-    """Return steps in both directions along x, y and z, and about z by a part of the yaw step."""
+    """Return steps in both directions along x, y and z, and by a part of the yaw step about z."""
     ways = np.diag([aside_m, aside_m, up_m])
     shifts = [rigid(np.eye(3), sign * way) for way in ways for sign in (1, -1)]
     angles = [sign * part * _YAW_STEP_RAD for sign in (1, -1)]
@@ -102,8 +102,8 @@ def planes(
 ) -> list[tuple[Float[np.ndarray, "3"], float]]:
     """Return the largest planes `n . p = d` of a cloud, largest first, with n towards the camera.
 
-    Random triples of near points (RANSAC) give each plane. It is fitted to its points, which are
-    then removed.
+    RANSAC with triples of near points finds one plane after another. Each plane is fitted to its
+    inliers, which are then removed from the cloud.
 
     Source: Fischler & Bolles, "Random sample consensus", 1981.
     """
@@ -123,7 +123,7 @@ def planes(
             mine = np.abs(rest @ normal - offset_m) < _PLANE_M
         if mine.sum() < max(least, 10):
             break
-        sign = 1.0 if offset_m < 0 else -1.0  # normals point to the camera, which is at 0
+        sign = 1.0 if offset_m < 0 else -1.0  # Normals point to the camera, which is at the origin.
         largest.append((sign * normal, sign * offset_m))
         rest = rest[~mine]
         candidate = candidate[support > 0]
@@ -133,7 +133,7 @@ def planes(
 def _local_planes(
     point: Float[np.ndarray, "rows columns 3"], rng: np.random.Generator
 ) -> Float[np.ndarray, "n 4"]:
-    """Return planes through random pixels and two others, a thirtieth of the picture away."""
+    """Return planes through random pixels and two pixels 1/30 of the picture below and right."""
     rows, columns = point.shape[:2]
     step = max(1, round(max(rows, columns) / 30))
     y = rng.integers(0, max(rows - step, 1), 4 * _TRIALS)
@@ -156,7 +156,7 @@ def _fitted(point: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], fl
 def _poses_on(
     box: OpenBox, point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], offset_m: float
 ) -> Float[np.ndarray, "p 4 4"]:
-    """Return the poses with the box's floor on a plane, at all places and turns of a grid."""
+    """Return poses with the box's floor on a plane, on a grid of positions and yaw angles."""
     T_plane_cam = _plane_frame(normal, offset_m)
     at = transform_points(T_plane_cam, point)
     on = at[np.abs(at[:, 2]) < _PLANE_M, :2]
@@ -174,7 +174,7 @@ def _poses_on(
 
 
 def _plane_frame(normal: Float[np.ndarray, "3"], offset_m: float) -> Float[np.ndarray, "4 4"]:
-    """Return `T_plane_cam`: origin on the plane under the camera, z along the plane's normal."""
+    """Return `T_plane_cam`, with z along the normal and the origin nearest to the camera."""
     aside = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     aside /= np.linalg.norm(aside)
     R_plane_cam = np.stack([aside, np.cross(normal, aside), normal])
@@ -184,13 +184,13 @@ def _plane_frame(normal: Float[np.ndarray, "3"], offset_m: float) -> Float[np.nd
 def _distinct(
     box: OpenBox, T_world_cam: Float[np.ndarray, "p 4 4"], count: int
 ) -> list[Float[np.ndarray, "4 4"]]:
-    """Return up to `count` poses, without any that is nearly the same as an earlier one."""
+    """Return up to `count` poses, and leave out poses that are near an earlier pose."""
     apart_m = _APART * min(box.inner_m[:2])
     corner = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]) * np.array(box.inner_m) / 2
     distinct: list[Float[np.ndarray, "4 4"]] = []
     places_of_others: list[Float[np.ndarray, "corners 3"]] = []
     for T in T_world_cam:
-        places = transform_points(inverse(T), corner)  # floor's corners in the camera's frame
+        places = transform_points(inverse(T), corner)  # corners of the floor in the camera frame
         if all(_shift_m(places, other) > apart_m for other in places_of_others):
             distinct.append(T)
             places_of_others.append(places)
@@ -200,6 +200,6 @@ def _distinct(
 
 
 def _shift_m(corners: np.ndarray, other: np.ndarray) -> float:
-    """Return the largest distance from a corner to the nearest corner of the other box."""
+    """Return the largest distance [m] from a corner to the nearest corner of the other box."""
     apart = np.linalg.norm(corners[:, None] - other[None], axis=-1)
     return float(apart.min(axis=1).max())

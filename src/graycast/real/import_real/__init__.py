@@ -1,4 +1,4 @@
-"""Real pictures with hand-drawn labels as a dataset of the same form as simulated ones."""
+"""Import of real pictures with hand-drawn labels as a dataset in the form of simulated ones."""
 
 from .importing import Import, import_real
 

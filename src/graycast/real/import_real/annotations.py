@@ -1,8 +1,8 @@
-"""Hand-drawn labels: COCO and LabelMe files read as named masks.
+"""Readers of hand-drawn labels in COCO and LabelMe files.
 
-Coordinates of both formats start at the corner of the image, half a pixel before this package's:
-pixel (0, 0) covers [0, 1] x [0, 1]. Polygons become masks as pycocotools rasterises them. LabelMe's
-own masks are pictures of a box of pixels; two points give its first and last pixel.
+In both formats, the origin is the corner of the image: pixel (0, 0) covers [0, 1] x [0, 1], half a
+pixel off this package's convention. pycocotools rasterises polygons. A mask in a LabelMe file is
+the picture of a box of pixels; two points give the first and the last pixel of the box.
 """
 
 import base64
@@ -25,7 +25,7 @@ from ...dataset.training.foreign import refuse_repeated
 from ..depth_file import load_json
 
 _REMEDY = "give a COCO file or LabelMe files"
-_CUT_PX = 3.0  # Labelling tools put corners up to this far outside the picture.
+_CUT_PX = 3.0  # Labelling tools may put corners this far outside the picture.
 _MARGIN_PX = math.ceil(_CUT_PX)
 
 Runs = Mapping[str, Any]  # compressed run lengths
@@ -33,9 +33,9 @@ Runs = Mapping[str, Any]  # compressed run lengths
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Annotation:
-    """Hand-drawn labels of a picture: a name and compressed run lengths per instance.
+    """Hand-drawn labels of a picture: a name and a mask (compressed run lengths) per instance.
 
-    `beyond_px` is the distance of the farthest corner outside of the picture; 0 if there is none.
+    `beyond_px` is the largest distance of a polygon's corner outside the picture; else 0.
     """
 
     source: str
@@ -49,15 +49,16 @@ class Annotation:
 
 
 def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Annotation], list[str]]:
-    """Return the pictures' labels by file stem, and the names of all objects in order.
+    """Read the labels of pictures.
 
     Args:
         path: a COCO file, a folder with one, or a folder of LabelMe files named like the pictures.
-            Hidden files are not read: macOS adds some next to other files.
+            Hidden files are not read, because macOS adds some next to other files.
         stems: the pictures' file stems.
 
     Returns:
-        The labels, and the names: COCO's by category id, LabelMe's in alphabetical order.
+        The labels by file stem, and the names of all objects: COCO's in the order of category ids,
+        LabelMe's in alphabetical order.
 
     Raises:
         DatasetError: there are no such files, a picture has no labels, or a shape is unusable.
@@ -118,7 +119,7 @@ def _coco(path: Path) -> tuple[dict[str, Annotation], list[str]]:
 
 
 def _stem(file_name: str) -> str:
-    """Return a picture's name without ending and folders, even if separated by backslashes."""
+    """Return a file name without ending and folders, which slashes or backslashes may separate."""
     return Path(file_name.replace("\\", "/")).stem
 
 
@@ -223,7 +224,7 @@ def _labelme_outline(shape: Mapping[str, Any], name: str) -> Float[np.ndarray, "
 
 
 def _labelme_mask(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> Runs:
-    """Return the run lengths of a PNG mask from the first point to the second, both included."""
+    """Return the run lengths of a PNG mask of the box between two points, both included."""
     try:
         content = base64.b64decode(shape["mask"], validate=True)
         inside = pixels(content, "its mask") > 0
@@ -272,10 +273,10 @@ def _corners(numbers: Any, name: str) -> Float[np.ndarray, "_ 2"]:
 
 
 def _beyond_px(points: Float[np.ndarray, "_ 2"], size: tuple[int, int], name: str) -> float:
-    """Return the distance [px] of the farthest corner outside of the picture, or 0.
+    """Return the largest distance [px] of a corner outside the picture, or 0 if all are inside.
 
     Raises:
-        DatasetError: the corner is so far outside that the polygon must belong to another picture.
+        DatasetError: a corner is so far outside that the polygon must belong to another picture.
     """
     height_px, width_px = size
     beyond_px = np.maximum(-points, points - [width_px, height_px]).max(axis=1)
@@ -289,9 +290,9 @@ def _beyond_px(points: Float[np.ndarray, "_ 2"], size: tuple[int, int], name: st
 
 
 def _rasterised(points: Float[np.ndarray, "_ 2"], size: tuple[int, int]) -> Runs:
-    """Return the run lengths of a polygon that is cut at the border of the picture.
+    """Return the run lengths of a polygon, cut at the border of the picture.
 
-    pycocotools places corners with negative coordinates wrongly, so the picture gets a margin.
+    pycocotools misplaces corners with negative coordinates, so the picture gets a margin first.
     """
     inside = slice(_MARGIN_PX, -_MARGIN_PX)
     numbers = [(points + _MARGIN_PX).ravel().tolist()]
@@ -300,7 +301,7 @@ def _rasterised(points: Float[np.ndarray, "_ 2"], size: tuple[int, int]) -> Runs
 
 
 def _united(pieces: Sequence[Runs], name: str) -> Runs:
-    """Return the union of some run lengths; refuse an empty one."""
+    """Return the union of masks as run lengths; refuse an empty union."""
     runs = coco_mask.merge([dict(piece) for piece in pieces])
     if coco_mask.area(runs) == 0:
         raise DatasetError(f"{name}: covers no pixel: draw it again, or remove it")
@@ -308,7 +309,7 @@ def _united(pieces: Sequence[Runs], name: str) -> Runs:
 
 
 def _refuse_alike(masks: Mapping[str, Runs], path: Path) -> None:
-    """Refuse a picture in which two instances have the same mask: one of them was listed twice."""
+    """Refuse a picture in which two instances have the same mask, because one is a duplicate."""
     first: dict[bytes, str] = {}
     for name, runs in masks.items():
         if (other := first.setdefault(runs["counts"], name)) != name:

@@ -1,4 +1,4 @@
-"""A folder of real pictures, its labels and its camera, written as a dataset in BOP's form."""
+"""Writer of a BOP dataset from a folder of real pictures, their labels and their camera."""
 
 import json
 import platform
@@ -30,14 +30,14 @@ from .survey import survey
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Import:
-    """Result of an import: names of the pictures in the order of the scenes, and their content."""
+    """Result of an import: names of the pictures, in the order of scenes, and their content."""
 
     stems: tuple[str, ...]
     categories: tuple[str, ...]  # object ids count from 1
     instances: int
     holds: tuple[str, ...]
     depth_scale_mm: float
-    notes: tuple[str, ...]  # a sentence for each suspicion and each omission
+    notes: tuple[str, ...]  # a warning for each probable mistake and each loss of data
 
 
 def import_real(
@@ -51,18 +51,18 @@ def import_real(
     range_m: tuple[float, float] | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Import:
-    """Write real pictures as a dataset; each picture becomes a scene, in the order of their names.
+    """Write real pictures as a dataset in which each picture is a scene, in the order of names.
 
     Args:
         folder: folder that contains `rgb`, `gray` and `depth`, or some of these folders.
         out: a folder that does not exist or is empty.
-        files: facts that the files do not state; the pictures stay distorted.
+        files: facts that the files do not state; pictures are not undistorted.
         annotations: a COCO file or a folder of LabelMe files; None means `folder/annotations`.
         labelled: False imports pictures without annotations; the dataset then has no masks.
         names: names of the objects in the order of their ids, for example of a simulated dataset.
-        range_m: near and far end of the working range of a similar scanner; depth far outside of
-            that range is refused.
-        progress: meter for the number of pictures.
+        range_m: near and far end of the working range of a similar scanner; depth far outside this
+            range is refused.
+        progress: meter that counts the written pictures.
 
     Raises:
         GraycastError: a file is missing, damaged or contradicts another, an annotation cannot be
@@ -125,7 +125,7 @@ def _object_names(own: Sequence[str], names: Sequence[str] | None) -> list[str]:
 
 
 def _cut_notes(labels: Mapping[str, Annotation]) -> tuple[str, ...]:
-    """Return a note if outlines extend beyond their pictures, else nothing."""
+    """Return a note if outlines extend beyond their pictures, else an empty tuple."""
     beyond = {stem: each.beyond_px for stem, each in labels.items() if each.beyond_px > 0}
     if not beyond:
         return ()
@@ -138,7 +138,7 @@ def _cut_notes(labels: Mapping[str, Annotation]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Writer:
-    """The files of a dataset of real pictures; see docs/reference/exports.md."""
+    """Writer of the files of a dataset of real pictures; see docs/reference/exports.md."""
 
     names: Sequence[str]
     step_mm: float
@@ -167,7 +167,7 @@ class _Writer:
     ) -> None:
         files: dict[str, bytes] = {}
         view = {"cam_K": images.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
-        # Always write BOP's plain names; write the scanner's if it has a picture or depth.
+        # BOP's names are always written; the scanner's only if it has a picture or depth.
         suffixes = ("", "_sl") if {"gray_sl", "depth_sl"} & set(self.holds) else ("",)
         for suffix in suffixes:
             files[f"scene_camera{suffix}.json"] = json_bytes({"0": view})
@@ -238,7 +238,7 @@ class _Writer:
                 run_length=runs,
                 box=[x, y, w, h],
                 area_px=area_px,
-                visib_fract=1.0,  # unknown; 1 lets no score ignore the object
+                visib_fract=1.0,  # unknown; with 1, no evaluation ignores the object
                 height_px=height_px,
                 width_px=width_px,
             )

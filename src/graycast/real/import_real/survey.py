@@ -1,4 +1,4 @@
-"""First reading of all pictures of an import: their content, depth steps, and oddities."""
+"""First pass over all pictures of an import: checks, the depth step, and warnings."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from ..depth_file import FileOptions
 from ..depth_sense import depth_kind_note, filled_holes, plane_shares, refuse_beyond
 from ..picture_pairs import RealPicture, ShotData, depth_step_mm, is_whole, read_shot
 
-_USUAL = 0.99  # The step of depth could be fine enough for this share of a picture's pixels.
-_COARSER = 5.0  # A note is given if the other pixels make the step this many times coarser.
+_USUAL = 0.99  # share of each picture's depth that counts as usual
+_COARSER = 5.0  # A note is given if the other pixels make the depth step this many times coarser.
 _FOR_KIND = 20  # number of pictures tested for z or ray length
 
 
@@ -31,7 +31,7 @@ def survey(
     *,
     range_m: tuple[float, float] | None,
 ) -> Survey:
-    """Read all pictures, so that unusable ones are reported before anything is written.
+    """Read all pictures, so that errors are reported before anything is written.
 
     Args:
         range_m: see `import_real`.
@@ -72,7 +72,7 @@ def survey(
         notes += _step_notes(deepest, step_mm, usual_m, depth_step_mm(usual_m, scale_m))
     if sample:
         optics = optics_of(first.K, first.size_px, files.distortion or (0.0,) * 5)
-        # --ray-length has converted the depth to z: convert it back to test the files' own values.
+        # --ray-length has converted the depth to z, but the test needs the values of the files.
         per_z = np.linalg.norm(picture_rays(optics), axis=-1) if files.ray_length else 1.0
         shares = plane_shares([depth_m * per_z for depth_m in sample], optics)
         if note := depth_kind_note(shares, ray_length=files.ray_length):
@@ -115,7 +115,7 @@ def _pixel_notes(pixels: dict[RealPicture, int], what: str) -> Iterator[str]:
 def _step_notes(
     deepest: tuple[float, RealPicture], step_mm: float, usual_m: float, usual_mm: float
 ) -> Iterator[str]:
-    """Yield a note if a few far pixels make the depth steps coarse, with the remedy."""
+    """Yield a note with a remedy if a few far pixels make the depth step coarse."""
     if step_mm < _COARSER * usual_mm:
         return
     deepest_m, shot = deepest

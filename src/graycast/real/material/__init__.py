@@ -22,7 +22,7 @@ from .material_files import (
     matt_text,
 )
 from .mottle import MottleFit, fit_mottle
-from .observing import Reflections, observe
+from .observing import Reflections, observe, observe_picture
 from .scan import MaterialScan, open_scan, read_masks
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "material_text",
     "matt_text",
     "observe",
+    "observe_picture",
     "open_scan",
     "read_masks",
     "scale_of",

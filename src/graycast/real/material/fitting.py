@@ -23,6 +23,7 @@ from jaxtyping import Float
 from scipy import optimize
 
 from ...base.errors import GraycastError
+from ...base.public_value import public_value
 from ...world.parts import Material
 from .observing import Reflections
 from .surface_model import (
@@ -53,6 +54,7 @@ BRIGHT_SHARE = 0.05  # As large a share of saturated pixels shows that there is 
 WIDE = 0.3  # A wider interval of roughness is no result.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedValue:
     """A value with the limits of its 95 % interval."""
@@ -62,6 +64,7 @@ class FittedValue:
     high: float
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaterialFit:
     """A fitted surface.
@@ -206,7 +209,7 @@ def scale_of(white: Reflections, reflectance: float) -> float:
     Raises:
         GraycastError: the pixels are too few.
     """
-    white = white.part(~white.clipped)
+    white = white.part(np.flatnonzero(~white.clipped))
     if len(white) < FEWEST:
         raise GraycastError(
             f"only {len(white)} pixels of the white reference are decoded and not saturated, and "

@@ -96,7 +96,7 @@ def matt_text(reflectance: float, source: str) -> str:
 
 def draw_fit(fit: MaterialFit, observations: Reflections, path: Path) -> None:
     """Draw measured and fitted light over the half angle, as a PNG, without saturated pixels."""
-    observations = observations.part(~observations.clipped)
+    observations = observations.part(np.flatnonzero(~observations.clipped))
     count = len(observations)
     every = max(1, count // MOST_POINTS)
     some = observations.part(np.arange(0, count, every))

@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ...base.errors import GraycastError
+from ...base.public_value import public_value
 from ...camera.decode import Levels
 from ...world.parts import Material
 from ...world.parts.part import MOTTLE_PEAK
@@ -36,6 +37,7 @@ FINEST = 0.3  # A finer mottle is averaged by each pixel, so that its length is 
 LENGTHS = np.geomspace(FINEST, 4.0, 400)  # L in pixels; the neighbourhood removes a longer mottle.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MottleFit:
     """The relative spread of the reflectance, and the distance of correlation 1/e [m].

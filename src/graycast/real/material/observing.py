@@ -1,11 +1,13 @@
-"""The reflection that one scan observes: geometry and the projector's direct light per pixel."""
+"""The reflection that one scan observes: geometry and the projector's light per pixel."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
+from ...base import array_types as arrays
 from ...base.frames import transform_points
+from ...base.public_value import public_value
 from ...camera.decode import CodeMap, Levels, Mark, Reason
 from ...rig.optics import (
     Optics,
@@ -23,6 +25,7 @@ SURE_SIGMAS = 5.0  # Darker pixels are left out.
 MOST_NORMAL_SIGMA_RAD = 0.05  # Pixels with a less certain normal are left out.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reflections:
     """Pixels of one surface: their directions, and their light without distance and vignetting.
@@ -31,33 +34,33 @@ class Reflections:
     projector. Where `clipped`, a picture is saturated, and the true light is at least `light`.
     """
 
-    normal: Float[np.ndarray, "n 3"]
-    to_camera: Float[np.ndarray, "n 3"]
-    to_projector: Float[np.ndarray, "n 3"]
-    light: Float[np.ndarray, " n"]
-    sigma: Float[np.ndarray, " n"]
-    clipped: Bool[np.ndarray, " n"]
-    normal_sigma_rad: Float[np.ndarray, " n"]
-    area_px: Float[np.ndarray, " n"]  # The number of pixels that determine the normal
-    pixel: Int[np.ndarray, "n 2"]  # Row and column
-    point_m: Float[np.ndarray, "n 3"]  # Place in the camera's frame
+    normal: arrays.FloatArray_n_3
+    to_camera: arrays.FloatArray_n_3
+    to_projector: arrays.FloatArray_n_3
+    light: arrays.FloatArray_n
+    sigma: arrays.FloatArray_n
+    clipped: arrays.BoolArray_n
+    normal_sigma_rad: arrays.FloatArray_n
+    area_px: arrays.FloatArray_n  # The number of pixels that determine the normal
+    pixel: arrays.IntArray_n_2  # Row and column
+    point_m: arrays.FloatArray_n_3  # Place in the camera's frame
 
     def __len__(self) -> int:
         return len(self.light)
 
     @property
-    def half_angle_rad(self) -> Float[np.ndarray, " n"]:
+    def half_angle_rad(self) -> arrays.FloatArray_n:
         """The angle between the normal and the middle of both directions."""
         half = self.to_camera + self.to_projector
         half /= np.linalg.norm(half, axis=-1, keepdims=True)
         return np.arccos(np.clip((half * self.normal).sum(axis=-1), -1, 1))
 
     @property
-    def light_cosine(self) -> Float[np.ndarray, " n"]:
+    def light_cosine(self) -> arrays.FloatArray_n:
         return (self.normal * self.to_projector).sum(axis=-1)
 
-    def part(self, index: np.ndarray) -> "Reflections":
-        """Return the pixels of an index or a mask."""
+    def part(self, index: arrays.IntArray_n) -> "Reflections":
+        """Return the pixels with these numbers."""
         return Reflections(**{name: getattr(self, name)[index] for name in self.__slots__})
 
 
@@ -83,22 +86,52 @@ def observe(
     """
     direct, shape = direct.astype(np.float64), direct.shape
     inside = np.ones(shape, dtype=bool) if mask is None else mask
-    normals = smooth_normals(rig.camera, depth_m, inside)
     noise = np.sqrt(2 * (levels.floor_dn2 + levels.slope_dn * np.maximum(direct, 0)))
     saturated = codes.reason == Reason.SATURATED
-    keep = inside & np.isfinite(normals.sigma_rad) & (saturated | (codes.reason == Reason.DECODED))
-    keep &= (normals.sigma_rad <= MOST_NORMAL_SIGMA_RAD) & (direct > SURE_SIGMAS * noise)
-    point_m = mask_points(rig.camera, depth_m, keep)
-    factor = np.broadcast_to(exposure, shape)[keep] * relative_illumination(rig.camera)[keep]
-    factor = factor * _irradiance(rig, point_m)
+    usable = saturated | (codes.reason == Reason.DECODED)
     mark = codes.mark
     clipped = saturated if mark is None else saturated | ((mark & Mark.CLIPPED) > 0)
+    light = np.where(usable, direct, 0.0)
+    return observe_picture(
+        rig, depth_m, light, noise, inside=inside, clipped=clipped, exposure=exposure
+    )
+
+
+def observe_picture(
+    rig: Rig,
+    depth_m: Float[np.ndarray, "h w"],
+    light: Float[np.ndarray, "h w"],
+    noise: Float[np.ndarray, "h w"],
+    *,
+    inside: Bool[np.ndarray, "h w"],
+    clipped: Bool[np.ndarray, "h w"],
+    exposure: Float[np.ndarray, "h w"] | float = 1.0,
+) -> Reflections:
+    """Return the observations of a picture that only the scanner's white pattern lights.
+
+    A picture includes light that other surfaces reflect, which makes the fit less certain than a
+    stack does.
+
+    Args:
+        depth_m: depth of each pixel; NaN where there is none.
+        light: the picture's light above black, proportional to radiance.
+        noise: standard deviation of `light`.
+        inside: the pixels of one surface.
+        clipped: pixels whose true light is at least `light`.
+        exposure: each pixel's exposure relative to a common exposure.
+    """
+    normals = smooth_normals(rig.camera, depth_m, inside)
+    keep = inside & np.isfinite(normals.sigma_rad)
+    keep &= (normals.sigma_rad <= MOST_NORMAL_SIGMA_RAD) & (light > SURE_SIGMAS * noise)
+    point_m = mask_points(rig.camera, depth_m, keep)
+    factor = np.broadcast_to(exposure, light.shape)[keep] * relative_illumination(rig.camera)[keep]
+    factor = factor * _irradiance(rig, point_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         observations = Reflections(
             normal=normals.normal[keep],
             to_camera=_unit(-point_m),
             to_projector=_unit(rig.T_cam_proj[:3, 3] - point_m),
-            light=direct[keep] / factor,
+            light=light[keep] / factor,
             sigma=noise[keep] / factor,
             clipped=clipped[keep],
             normal_sigma_rad=normals.sigma_rad[keep],
@@ -108,7 +141,7 @@ def observe(
         )
     facing = (observations.normal * observations.to_camera).sum(axis=-1)
     good = (facing > LEAST_COSINE) & (observations.light_cosine > LEAST_COSINE) & (factor > 0)
-    return observations.part(good)
+    return observations.part(np.flatnonzero(good))
 
 
 def _irradiance(rig: Rig, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:

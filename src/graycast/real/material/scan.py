@@ -7,13 +7,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...base import array_types as arrays
 from ...base.errors import ConfigError, GraycastError
+from ...base.public_value import public_value
 from ...camera.decode import Mark, Reason
 from ...camera.rig_file import load_scanner
 from ...camera.scanner import Scanner
 from ...camera.stack import StackResult, decode_stack, read_description
 from ...dataset.raw import EXPOSURE, read_capture
 from ...dataset.safe_reading import Unreadable, read_mask
+from .fitting import scale_of
 from .mottle import MottleFit, fit_mottle
 from .normals import smooth_normals
 from .observing import Reflections, observe
@@ -23,6 +26,7 @@ MOST_SATURATED = 0.5  # A surface with a larger saturated share is refused.
 LEAST_MEASURED = 0.3  # A rig is refused if a smaller share of the decoded pixels has depth.
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaterialScan:
     """A decoded stack, its scanner, and the relative exposure of its pixels.
@@ -33,10 +37,10 @@ class MaterialScan:
     path: Path
     result: StackResult
     scanner: Scanner
-    surface_m: Float[np.ndarray, "h w"]
-    exposure: Float[np.ndarray, "h w"] | float
+    surface_m: arrays.FloatArray_h_w
+    exposure: arrays.FloatArray_h_w | float
 
-    def observations(self, mask: Bool[np.ndarray, "h w"] | None = None) -> Reflections:
+    def observations(self, mask: arrays.BoolArray_h_w | None = None) -> Reflections:
         """Return the observations of the pixels in a mask; None is all pixels.
 
         A saturated pixel counts as at least as bright as the range, if its surface is known.
@@ -79,7 +83,7 @@ class MaterialScan:
             exposure=self.exposure,
         )
 
-    def _light(self) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    def _light(self) -> tuple[arrays.FloatArray_h_w, arrays.FloatArray_h_w]:
         """Return direct and global light.
 
         Raises:
@@ -88,12 +92,25 @@ class MaterialScan:
         if self.result.light is None:
             raise GraycastError(
                 f"{self.path}: the code cannot separate the projector's direct light, which needs "
-                "phases, or narrow stripes with their inverses: scan with such a code"
+                "phases, or narrow stripes with their inverses or with white and black frames: "
+                "scan with such a code"
             )
         direct, indirect = (light.astype(np.float64) for light in self.result.light)
         return direct, indirect
 
-    def mottle(self, mask: Bool[np.ndarray, "h w"], *, seed: int) -> MottleFit:
+    def scale(self, white: arrays.BoolArray_h_w, reflectance: float) -> float:
+        """Return the light of a BSDF of 1 per steradian, which `fit_material` can use.
+
+        Args:
+            white: mask of a matt surface whose reflectance is known.
+            reflectance: its reflectance at the projector's wavelength.
+
+        Raises:
+            GraycastError: the mask does not fit the scan, or has too few decoded pixels.
+        """
+        return scale_of(self.observations(white), reflectance)
+
+    def mottle(self, mask: arrays.BoolArray_h_w, *, seed: int) -> MottleFit:
         """Fit the mottle of the decoded pixels in a mask that have a normal.
 
         Raises:
@@ -109,13 +126,13 @@ class MaterialScan:
         pixel_m = float(np.median(self.surface_m[use])) / camera.fx_px if use.any() else 1.0
         return fit_mottle(direct, use, result.levels.levels, pixel_m=pixel_m, seed=seed)
 
-    def saturated_pixels(self, mask: Bool[np.ndarray, "h w"] | None = None) -> int:
+    def saturated_pixels(self, mask: arrays.BoolArray_h_w | None = None) -> int:
         """Return the number of saturated pixels in a mask that are on no known plane."""
         lost = (self.result.codes.reason == Reason.SATURATED) & np.isnan(self.surface_m)
         return int((lost if mask is None else lost & mask).sum())
 
 
-def open_scan(path: Path, scanner: Scanner | None = None) -> MaterialScan:
+def open_scan(path: Path | str, scanner: Scanner | None = None) -> MaterialScan:
     """Decode a stack for the fit of materials.
 
     Args:
@@ -125,6 +142,7 @@ def open_scan(path: Path, scanner: Scanner | None = None) -> MaterialScan:
     Raises:
         GraycastError: the stack cannot be decoded, or the rig does not belong to the stack.
     """
+    path = Path(path)
     stack = path / "stack.yaml" if path.is_dir() else path
     if scanner is None:
         own = read_description(stack).rig

@@ -1,4 +1,4 @@
-"""Statistics of real depth maps that perfect depth maps lack: gaps, noise, steps, islands."""
+"""Statistics of what real depth maps have and perfect ones lack: gaps, noise, flying pixels."""
 
 from .depth_curves import draw_realism
 from .depth_maps import read_scans

@@ -1,4 +1,4 @@
-"""Plots of the table's curves, for one set of depth maps or for several sets together."""
+"""Plots of the statistics of one or several sets of depth maps."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ _DIRECTIONS = ("right", "left", "below", "above")
 
 
 def draw_realism(records: Sequence[Realism], path: Path) -> None:
-    """Write a PNG with one line per record in each of six plots.
+    """Write a PNG with six plots that have a curve or bars for each record.
 
     Raises:
         GraycastError: the file cannot be written.
@@ -96,7 +96,7 @@ def _draw_jumps(ax: Axes, records: Sequence[Realism]) -> None:
 
 
 def _curve(bins: list[BinRecord], factor: float, least: int = 1) -> tuple[list[float], list[float]]:
-    """Return the middle and the value of each known bin; a bin from 0 has the arithmetic mean."""
+    """Return the middle and the value of each known bin; the middle is geometric except from 0."""
     known = [b for b in bins if b.value is not None and b.count >= least]
     middle = [(b.low * b.high) ** 0.5 if b.low > 0 else b.high / 2 for b in known]
     return middle, [factor * b.value for b in known if b.value is not None]

@@ -1,4 +1,4 @@
-"""Reading of depth maps, one by one, from files and from the scene folders of BOP datasets."""
+"""Readers of depth maps, one by one, from files and from the scene folders of BOP datasets."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
@@ -46,13 +46,13 @@ def read_scans(
         paths: depth files, folders of depth files (read in the order of names), and BOP datasets or
             scene folders, which contain their own intrinsics, scale, pictures and reasons.
         options: facts that depth files do not state.
-        gray: a picture per depth file in the same order, or none, or folders of pictures. 8 and 16
-            bits become shares of the type's range, colours are averaged.
-        reason: an 8-bit image per depth file in the same order, or none, or folders of images.
+        gray: pictures or folders of pictures, one per depth file in the same order; empty for no
+            pictures. Integers are scaled to 0 to 1, and colours are averaged.
+        reason: 8-bit images or folders of images, one per depth file in the same order, or empty.
         reason_names: meaning of each number in the reason images.
 
     Raises:
-        DatasetError: a file is missing, damaged or of another form, or an option is missing.
+        DatasetError: a file is missing, damaged or of a wrong form, or an option is missing.
     """
     files: list[Path] = []
     for path in paths:
@@ -81,7 +81,7 @@ def read_scans(
 
 
 def _pictures(paths: Sequence[Path]) -> list[Path]:
-    """Return the given files, and the files of the given folders in the order of names."""
+    """Return the paths, with each folder replaced by its files in the order of names."""
     files = []
     for path in paths:
         inside = visible_entries(path) if path.is_dir() else [path]
@@ -92,7 +92,7 @@ def _pictures(paths: Sequence[Path]) -> list[Path]:
 
 
 def _scenes(path: Path) -> list[Path]:
-    """Return the scene folders: the folder itself, those in it, or those two levels below."""
+    """Return the scene folders: the path itself, else those one level below, else two below."""
     for pattern in (".", "*", "*/*"):
         if scenes := sorted({f.parent for f in path.glob(f"{pattern}/scene_camera*.json")}):
             return scenes
@@ -100,7 +100,7 @@ def _scenes(path: Path) -> list[Path]:
 
 
 def _read_scene(scene: Path) -> Iterator[DepthScan]:
-    """Yield all images of a scene folder: the scanner's if there are any, else the camera's."""
+    """Yield the depth maps of a scene folder, from the scanner if it has any, else the camera."""
     files = SceneFolder(scene)
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
     views = _record(files, f"scene_camera{suffix}", AnyView)
@@ -116,7 +116,7 @@ def _read_scene(scene: Path) -> Iterator[DepthScan]:
         gray = None if picture is None else read_gray(picture)
         colour = _find(files, "rgb", number)
         if gray is None and colour is not None:
-            beside = read_gray(colour)  # A picture of another shape is not used.
+            beside = read_gray(colour)  # A picture of another shape may be from another camera.
             gray = beside if beside.shape == depth_m.shape else None
         why = files.png_path(f"reason{suffix}", number)
         reasons = scanner[number].reasons if number in scanner else {}
@@ -140,7 +140,7 @@ def _find(files: SceneFolder, kind: str, number: int) -> Path | None:
 
 
 def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:
-    """Return the entries of a scene's JSON file, by image number."""
+    """Return the entries of a JSON file of a scene by image number."""
     try:
         return files.record(name, Images[form])  # type: ignore[valid-type]
     except Unreadable as error:
@@ -150,7 +150,7 @@ def _record(files: SceneFolder, name: str, form: type[R]) -> dict[int, R]:
 
 
 def _baseline_m(scene: Path) -> float | None:
-    """Return the baseline of the rig of a Graycast dataset; None for any other dataset."""
+    """Return the baseline [m] of the rig of a Graycast dataset; None for other datasets."""
     claim = scene.parent.parent / "graycast.json"
     if not claim.is_file():
         return None

@@ -1,4 +1,4 @@
-"""Depth steps: neighbours on two surfaces, and flying pixels in the air between the surfaces."""
+"""Depth steps between two surfaces, and flying pixels in the air between the surfaces."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ _Values = Float[np.ndarray, "..."]
 _Mask = Bool[np.ndarray, "..."]
 
 _REACH_PX = 8
-_MARGIN = 0.25  # A flyer differs from surfaces and neighbours by this share of the least step.
+_MARGIN = 0.25  # least distance of a flying pixel from both surfaces, as a share of `jump_share`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepCounts:
-    """Numbers of steps and flying pixels in a map, which can be added over maps."""
+    """Counts of jumps, pixels at steps and flying pixels in one map."""
 
     right_farther: int
     left_farther: int
@@ -27,15 +27,16 @@ class StepCounts:
 
 
 def count_steps(scan: DepthScan) -> StepCounts:
-    """Count jumps between valid pixels by direction, and flying pixels.
+    """Count jumps between valid pixels by direction, pixels at steps, and flying pixels.
 
-    On either side of a possible step, along a row or a column, two pixels define a line in 1/z,
-    which is exact for planes however steep. There is a jump if the two lines, extended to the step,
-    miss each other. A jump has no missing pixel in it, but may have one flying pixel. A pixel is at
-    a step if the lines of the pixels next but one on either side miss each other at the pixel; one
-    gap among these seven pixels is skipped, so the rims of a shadow are a step. The pixel flies if
-    it is between both lines, and away from both and from its two neighbours by a quarter of a jump.
-    A surface one pixel wide looks the same; some flying pixels in wider groups are missed.
+    Two pixels on each side of a possible step, along a row or a column, define a line in 1/z, which
+    is exact for planes of any slope. If the two lines, extended to the step, differ by more than
+    `jump_share`, there is a jump. It has no missing pixel but may have one flying pixel.
+
+    A pixel is at a step if the lines through the second and third pixel on each side differ at it.
+    These seven pixels may have one gap, so the rims of a shadow are a step. The pixel is flying if
+    it is between both lines, at least a quarter of a jump from both and from its two neighbours.
+    A surface one pixel wide counts as flying; some flying pixels in wider groups do not.
     """
     inverse = 1.0 / scan.depth_m.astype(np.float64)
     right, left = _jumps(inverse, scan.jump_share)
@@ -53,9 +54,9 @@ def count_steps(scan: DepthScan) -> StepCounts:
 
 
 def _jumps(inverse: Float[np.ndarray, "h w"], share: float) -> tuple[int, int]:
-    """Count the jumps along rows of 1/z that are farther on the right, and on the left."""
+    """Count the jumps along rows of 1/z whose far side is on the right, and on the left."""
     right = left = 0
-    for between in (0, 1):  # flyers
+    for between in (0, 1):  # number of flying pixels in the jump
         length = 4 + between
         if inverse.shape[1] < length:
             continue
@@ -63,7 +64,7 @@ def _jumps(inverse: Float[np.ndarray, "h w"], share: float) -> tuple[int, int]:
         a, b, c, d = (window[..., i] for i in (0, 1, -2, -1))
         reach = (1 + between) / 2
         ends = b + reach * (b - a), c - reach * (d - c)
-        with np.errstate(invalid="ignore"):  # comparisons with NaN are false
+        with np.errstate(invalid="ignore"):  # Comparisons with NaN are false.
             jump = _smooth(a, b, share) & _smooth(c, d, share) & _apart(*ends, share)
             jump &= _apart(b, c, share)
             if between:
@@ -82,7 +83,7 @@ def flying_pixels(
     flying_image = np.zeros(inverse.shape, dtype=bool)
     if len(row) < 7:
         return at_image, flying_image
-    # Test the middle pixel of each seven successive valid pixels that are in one row.
+    # The test is made for the middle of each seven successive valid pixels in one row.
     windows = np.lib.stride_tricks.sliding_window_view
     one_row = row[:-6] == row[6:]
     a, b, before, middle, after, c, d = windows(inverse[row, column], 7)[one_row].T
@@ -94,7 +95,7 @@ def flying_pixels(
         b + reach_left * (b - a) / (place[:, 1] - place[:, 0]),
         c - reach_right * (d - c) / (place[:, 6] - place[:, 5]),
     )
-    # One gap is a shadow; several gaps are a surface with many holes.
+    # A single gap may be a shadow, but several gaps are holes in a surface.
     at = (np.diff(place, axis=1) > 1).sum(axis=1) <= 1
     at &= _smooth(a, b, share) & _smooth(c, d, share)
     at &= _apart(*ends, share) & _apart(b, c, share)
@@ -105,7 +106,7 @@ def flying_pixels(
     return at_image, flying_image
 
 
-# Differences of 1/z are compared relative to 1/z, where they equal relative differences of z.
+# A relative difference of 1/z is about equal to the relative difference of z.
 
 
 def _smooth(a: _Values, b: _Values, share: float) -> _Mask:

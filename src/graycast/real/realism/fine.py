@@ -1,11 +1,11 @@
 """Fine noise from second differences within a map, and from differences of two maps.
 
-The second difference along both directions at once is 0 for planes and for surfaces that bend
-along rows or columns only, so tiles of 8 x 8 pixels can be used on almost all smooth surfaces, even
-on most patches that a plane fit refuses as bent. A difference of neighbours removes noise that the
-scanner's smoothing has correlated: the result is the noise of the finest scale, scaled so that
-white noise keeps its standard deviation. In the difference of two maps of the same surface, the
-shape cancels, and all noise remains that is not common to both maps.
+The second difference along both directions at once is 0 for planes and for surfaces that bend only
+along rows or only along columns. So tiles of 8 x 8 pixels can be used on almost all smooth
+surfaces, even on most patches that `noise.py` excludes as bent. Differences of neighbours remove
+noise that the scanner's smoothing has correlated. The result is the noise of the finest scale,
+scaled so that white noise keeps its standard deviation. In the difference of two maps of the same
+surface, the shape cancels, and only noise that is not common to both maps remains.
 
 Source: Immerkaer, "Fast noise variance estimation", CVIU 64 (1996), for the operator.
 """
@@ -26,10 +26,10 @@ from .realism_record import BinRecord, Fine, Pairs
 from .scan import DepthScan, tiles
 
 TILE_PX = 8
-LEAST_TILES = 20  # A bin needs this many tiles to be compared with another.
+LEAST_TILES = 20  # Bins are compared only if they have this many tiles.
 BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), np.nextafter(1.0, 2.0)])
 INCIDENCE_EDGES_DEG = np.arange(0.0, 90.0, 10.0)
-_OUTLIER = 6.0  # A difference is an outlier beyond this many sigmas of the tile or square.
+_OUTLIER = 6.0  # A difference is an outlier beyond this many standard deviations of its tile.
 _MOST_OUTLIERS = 0.05  # A tile with a larger share of outliers is an edge.
 _LEAST_DIFFERENCES = 20  # A tile has 36 differences.
 _FACING_DEG = 45.0  # Noise by brightness uses tiles up to this angle of incidence.
@@ -40,7 +40,7 @@ _LAGS = (1, 2, 3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FineNoise:
-    """The smooth tiles of one map."""
+    """Noise, incidence and brightness of the smooth tiles of one map."""
 
     tiles: int  # tiles with enough pixels
     variance_m2: Float[np.ndarray, " n"]
@@ -50,7 +50,7 @@ class FineNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairNoise:
-    """Noise at the pixels where two maps show the same surface."""
+    """Noise [m] and its correlation at lags of 1, 2 and 3 pixels, from two maps of one surface."""
 
     pixels: int
     sigma_m: float
@@ -59,7 +59,7 @@ class PairNoise:
 
 
 def measure_fine(scan: DepthScan) -> FineNoise:
-    """Return the noise, incidence and brightness of every smooth tile."""
+    """Measure the noise variance, incidence and brightness of every smooth tile."""
     z_m = tiles(scan.depth_m.astype(np.float64), TILE_PX)
     mixed = second_difference(z_m).reshape(len(z_m), (TILE_PX - 2) ** 2)
     known = ~np.isnan(mixed)
@@ -85,7 +85,7 @@ def measure_fine(scan: DepthScan) -> FineNoise:
 
 
 def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
-    """Return the figures for the tiles of all maps together."""
+    """Summarise the tiles of all maps."""
     variance = np.concatenate([m.variance_m2 for m in maps])
     incidence_deg = np.degrees(np.concatenate([m.incidence_rad for m in maps]))
     brightness = np.concatenate([m.brightness for m in maps])
@@ -110,10 +110,10 @@ def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
 
 
 def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
-    """Measure the noise between two maps where they show the same surface; else return None.
+    """Measure the noise where two maps show the same surface; return None if they share too little.
 
-    In the difference of the maps, everything common cancels: shape and fixed errors. Its standard
-    deviation divided by the root of 2 is that of one map.
+    Shape and systematic errors that both maps share cancel in the difference of the maps. The
+    standard deviation of the difference is sqrt(2) times that of one map.
     """
     same_camera = first.depth_m.shape == second.depth_m.shape and np.allclose(first.K, second.K)
     if not same_camera:
@@ -136,7 +136,7 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
 
 
 def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
-    """Return means over the pairs, weighted by the number of pixels that each pair shares."""
+    """Return means over the pairs, weighted by the number of shared pixels."""
     if not pairs:
         return Pairs(pairs=0, pixels=0, sigma_m=None, along_rows=None, along_columns=None)
     weight = np.array([p.pixels for p in pairs], dtype=np.float64)
@@ -155,10 +155,10 @@ def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
 
 @cache
 def median_over_mean() -> float:
-    """Return the ratio of median to mean of a tile's mean square difference in white noise.
+    """Return the ratio of median to mean of a tile's mean squared difference in white noise.
 
-    Neighbouring differences share pixels, so the sum of their squares does not follow chi-square;
-    the approximation is a shifted chi-square with the same mean, variance and skewness.
+    Neighbouring differences share pixels, so the sum of their squares is not chi-square
+    distributed. It is approximated by a shifted chi-square of equal mean, variance and skewness.
 
     Source: Liu, Tang & Zhang, Computational Statistics & Data Analysis 53 (2009), central case.
     """
@@ -179,10 +179,10 @@ def median_over_mean() -> float:
 def _incidence_rad(
     scan: DepthScan, z_m: Float[np.ndarray, "n t t"], number: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the angle between each tile's normal and the camera's ray; tiles count row by row.
+    """Return the angle between each tile's normal and the ray through its centre.
 
-    With `1/z = g . (x, y, 1)`, where g is the plane in pixels, its normal is along K^T g; the ray
-    is K^-1 (x, y, 1).
+    `number` counts tiles row by row. If `1/z = g . (x, y, 1)`, with x and y in pixels, the normal
+    is parallel to K^T g; the ray is K^-1 (x, y, 1).
     """
     t = np.arange(TILE_PX) - (TILE_PX - 1) / 2
     x, y = (c.ravel() for c in np.meshgrid(t, t))
@@ -226,7 +226,7 @@ def _median_m(variance: Float[np.ndarray, " n"]) -> float | None:
 
 
 def _interval_m(variance: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
-    """Return the median's 95 % interval from order statistics; None for fewer than 6 values."""
+    """Return the median's 95 % confidence interval (order statistics); None below 6 values."""
     n = len(variance)
     if n < 6:
         return None
@@ -252,7 +252,7 @@ def _without_drift(difference: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h
 
 
 def _lag(rest: Float[np.ndarray, "h w"], lag: int) -> float:
-    """Return the correlation of pixels at a distance along the rows."""
+    """Return the correlation of pixels that are `lag` pixels apart along the rows."""
     a, b = rest[:, :-lag], rest[:, lag:]
     both = ~np.isnan(a) & ~np.isnan(b)
     power = np.sqrt((a[both] ** 2).mean() * (b[both] ** 2).mean()) if both.any() else 0.0

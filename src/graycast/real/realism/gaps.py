@@ -1,15 +1,14 @@
 """Estimate of the baseline from the widths of shadows.
 
-The projector's ray that grazes a near edge N continues to the far surface at F; the camera sees the
+A ray of the projector that grazes a near edge at N meets the far surface at F. The camera sees the
 pixels between N and F, but they are not lit. With the projector at (b, 0, t) in the camera frame,
-the three points are on one line, and for x' = x / z of N and F (Lanman and Taubin's light planes,
-intersected with a row of the picture)
+projector, N and F are on one line, so x' = x / z of N and F satisfy
 
     x'_n - x'_f = b (1/z_n - 1/z_f) - t (x'_f / z_n - x'_n / z_f)
 
-so for t = 0 the gap is f b (1/z_n - 1/z_f) pixels wide, however the projector is turned. The same
-holds for columns with y and a projector above or below. A baseline that is oblique in the picture
-is left out: its shadows end in another row than they begin.
+For t = 0, the gap is f b (1/z_n - 1/z_f) pixels wide, whatever the rotation of the projector. The
+same is true for columns, with y and a projector above or below. Leaves out: a baseline that is
+oblique in the picture, because its shadows do not begin and end in the same row.
 """
 
 from collections.abc import Sequence
@@ -26,27 +25,27 @@ from .scan import DepthScan
 
 _LEAST_GAP_PX = 4
 _RIM_PX = 3  # A gap needs this many valid pixels of one surface on each side.
-_SMOOTH = 1 / 3  # Neighbours on a surface differ by at most this share of a jump.
+_SMOOTH = 1 / 3  # Neighbours on one surface differ by less than this share of a jump.
 _AGREE = 0.2  # Estimates that differ by at most this share agree.
 _ROUNDS = 3
 _LEAST_ROWS = 5  # An edge must appear in at least this many rows.
 _LEAST_EDGES = 5
 _LEAST_AGREEING = 0.25
-_EDGE_PX = 2.0  # Error of the formula for a shadow's width, per edge (one sigma).
-_EATEN_PX = 2.0  # Pixels that a scanner's filters remove from the rims (one sigma).
-_FORWARD = 0.5  # relative sigma of t around its value for axes that meet at the middle distance
+_EDGE_PX = 2.0  # standard deviation of the error of a shadow's width, per edge
+_EATEN_PX = 2.0  # prior standard deviation of the pixels that filters remove at the rims
+_FORWARD = 0.5  # relative prior standard deviation of t (see `estimate_baseline`)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gaps:
-    """Shadows along the rows (or columns) of a map, from their near to their far rim."""
+    """Shadows along the rows (or columns) of a map: x / z (or y / z) and depth of both rims."""
 
-    near: Float[np.ndarray, " n"]  # x / z (or y / z) in the middle between the rims
+    near: Float[np.ndarray, " n"]  # x / z or y / z, half a pixel outside the last valid pixel
     far: Float[np.ndarray, " n"]
     near_m: Float[np.ndarray, " n"]
     far_m: Float[np.ndarray, " n"]
     focal_px: Float[np.ndarray, " n"]
-    weight: Float[np.ndarray, " n"]  # 1 / (number of rows that cut the same edge)
+    weight: Float[np.ndarray, " n"]  # 1 / (number of gaps at the same edge)
 
     @property
     def step(self) -> Float[np.ndarray, " n"]:
@@ -59,7 +58,7 @@ class Gaps:
         return (self.near - self.far) / self.step
 
     def shadow(self, across_m: float, forward_m: float) -> Float[np.ndarray, " n"]:
-        """Return x'_n - x'_f for a projector at (across, 0, forward)."""
+        """Return the predicted x'_n - x'_f for a projector at (across, 0, forward)."""
         return across_m * self.step - forward_m * (self.far / self.near_m - self.near / self.far_m)
 
     def only(self, which: Bool[np.ndarray, " n"]) -> "Gaps":
@@ -69,9 +68,9 @@ class Gaps:
 def find_gaps(scan: DepthScan) -> tuple[Gaps, Gaps]:
     """Return the clean shadows along the rows and along the columns.
 
-    A gap is clean if it is at least 4 pixels wide, if the three pixels on each side are on one
-    surface, if these surfaces are a jump apart, and if the near rim continues over five rows.
-    Specks of depth in the gap are ignored.
+    A gap is clean if it is at least 4 pixels wide, the three pixels on each side are on one
+    surface, these surfaces are a jump apart, and the near rim continues over five rows. Specks of
+    depth in the gap are ignored.
     """
     depth_m = np.where(small_islands(scan.valid) > 0, np.nan, scan.depth_m)
     K = scan.K
@@ -84,12 +83,12 @@ def estimate_baseline(
 ) -> Baseline | None:
     """Estimate the baseline on which most gaps agree, along rows or columns; None if few agree.
 
-    The most frequent estimate of single gaps gives the side; b, t and the pixels that the scanner's
-    filters remove at the rims are fitted robustly to the gaps that agree with the estimate. All
-    gaps at one edge count as one, so that a long wall does not dominate. The gaps determine t only
-    weakly. So t is kept near b^2 / 2z, its value if camera and projector are turned equally to a
-    point in the middle distance z, with half of that as standard deviation: a projector straight
-    beside the camera, t = 0, is two standard deviations away.
+    The most frequent estimate from single gaps gives the side and a start value. Then b, t and the
+    number of pixels that filters remove at the rims are fitted robustly to the gaps that agree. All
+    gaps at one edge count as one, so that a long wall does not dominate. Gaps determine t only
+    weakly, so it has a normal prior with the mean b^2 / 2z, the value if camera and projector are
+    turned equally to a point at the median distance z. Its standard deviation is half of the mean,
+    so that t = 0 is two standard deviations away.
     """
     both = (
         _agreed(_joined(along_rows), ("left", "right"), known_m),
@@ -129,7 +128,7 @@ def _agreed(gaps: Gaps, sides: tuple[str, str], known_m: float | None) -> Baseli
 
 
 def _mode(estimate_m: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float:
-    """Return the estimate with most others of its sign within 10 %; in a tie, the middle one."""
+    """Return the estimate with the most others within 10 %; the middle one if several have it."""
     best, most = 0.0, 0.0
     for sign in (-1, 1):
         order = np.argsort(sign * estimate_m)
@@ -145,7 +144,7 @@ def _mode(estimate_m: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) 
 
 
 def _solve(gaps: Gaps, start_m: float) -> tuple[float, float, float, float]:
-    """Fit b and t [m], and the excess width of gaps [px]; return also the length's error [m]."""
+    """Fit b and t [m] and the excess width of gaps [px]; return also the baseline's error [m]."""
     side, share = np.sign(start_m), np.sqrt(gaps.weight) / _EDGE_PX
     middle_m = float(np.median((gaps.near_m + gaps.far_m) / 2))
     usual_m = start_m**2 / (2 * middle_m)
@@ -200,10 +199,10 @@ def _along_rows(
 def _rows_of_edges(
     shape: tuple[int, ...], y: Int[np.ndarray, " n"], x: Int[np.ndarray, " n"]
 ) -> Int[np.ndarray, " n"]:
-    """Count the rows over which the near rim of each gap continues.
+    """Count, for each gap, the gaps whose near rims belong to the same edge.
 
-    The rim may step by 3 px from row to row and have gaps of 10 rows; otherwise, pieces of a rim
-    that noise has torn would count as separate edges.
+    Noise may divide a rim into pieces. So an edge may shift by 3 px from row to row and have gaps
+    of 10 rows.
     """
     rim = np.zeros(shape, dtype=bool)
     rim[y, x] = True
@@ -219,13 +218,13 @@ def _smooth_rims(
     right: Int[np.ndarray, " n"],
     jump_share: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Return a mask of the gaps that have one surface, not the image's border, on each side."""
+    """Return a mask of the gaps with one smooth surface on each side, not the image's border."""
     last = depth_m.shape[1] - 1
     smooth = (left >= _RIM_PX - 1) & (right <= last - (_RIM_PX - 1))
     for rim, away in ((left, -1), (right, 1)):
         place = (rim + away * np.arange(_RIM_PX)[:, None]).clip(0, last)
         z = depth_m[y, place]
-        with np.errstate(invalid="ignore"):  # comparisons with NaN are false
+        with np.errstate(invalid="ignore"):  # Comparisons with NaN are false.
             smooth &= (np.abs(np.diff(z, axis=0)) < _SMOOTH * jump_share * z[0]).all(axis=0)
     return smooth
 

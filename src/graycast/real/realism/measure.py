@@ -1,4 +1,4 @@
-"""Measurement of depth maps as counts and samples, and the record of many maps."""
+"""Measurement of single depth maps, and the combined record of a set."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _LEAST_PATCHES = 10  # Fewer patches do not determine an autocorrelation.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """Counts and samples of one map for the record of a set."""
+    """Counts and samples of one map, from which `pool` computes the record of a set."""
 
     median_depth_m: float  # NaN if no pixel is valid
     known_baseline_m: float | None
@@ -33,7 +33,7 @@ class Measurement:
 
 
 def measure_all(scans: Iterable[DepthScan]) -> Iterator[Measurement]:
-    """Yield the measurement of each map, which includes the pair with the previous map."""
+    """Yield the measurement of each map, including a comparison with the previous map."""
     before: DepthScan | None = None
     for scan in scans:
         yield measure_scan(scan, before=before)
@@ -41,7 +41,7 @@ def measure_all(scans: Iterable[DepthScan]) -> Iterator[Measurement]:
 
 
 def measure_scan(scan: DepthScan, *, before: DepthScan | None = None) -> Measurement:
-    """Measure one depth map, and its pair with the map `before` it."""
+    """Measure one depth map, and compare it with the map `before` it."""
     depth_m = scan.depth_m[scan.valid]
     return Measurement(
         median_depth_m=float(np.median(depth_m)) if depth_m.size else float("nan"),
@@ -59,7 +59,7 @@ def pool(measurements: Iterable[Measurement], *, name: str) -> Realism:
     """Combine measurements into the record of a set by adding counts and joining samples.
 
     Raises:
-        GraycastError: there is no map in the set.
+        GraycastError: there are no maps.
     """
     maps = list(measurements)
     if not maps:

@@ -1,4 +1,4 @@
-"""Pixels without depth: their number, brightness, reasons, and small groups."""
+"""Pixels without depth: their number, brightness and reasons, and small holes and specks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from .scan import DepthScan
 
 LEVELS = 4095  # The histogram of brightness resolves the levels of 8, 10 and 12 bits.
 ISLAND_PX = 10
-# Ratios of brightness matter to a sensor, so bins are octaves; the last one is saturation.
+# Noise depends on the ratio of brightnesses, so bins are octaves; the last bin is saturation.
 BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), 0.99, np.nextafter(1.0, 2.0)])
 SIZES_PX = ((1, 1), (2, 4), (5, ISLAND_PX))  # smallest and largest size of each class of islands
-_LEAST_DROP = 0.2  # The missing share must drop by this at a step.
+_LEAST_DROP = 0.2  # least decrease of the missing share at a step
 _NEIGHBOURS = np.ones((3, 3), dtype=int)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissingCounts:
-    """Counts of one map, which can be added over maps."""
+    """Counts of pixels without depth, and sizes of small holes and specks, in one map."""
 
     pixels: int
     missing: int
@@ -34,7 +34,7 @@ class MissingCounts:
 
 
 def count_missing(scan: DepthScan) -> MissingCounts:
-    """Count the pixels of a map that have no depth."""
+    """Count the pixels of a map without depth, and measure its small holes and specks."""
     valid = scan.valid
     total_at = missing_at = None
     if scan.gray is not None:
@@ -53,10 +53,10 @@ def count_missing(scan: DepthScan) -> MissingCounts:
 
 
 def small_islands(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """Label groups of at most `ISLAND_PX` pixels of a mask with 1, 2, ...; 0 elsewhere.
+    """Label groups of at most `ISLAND_PX` pixels in a mask with 1, 2, ...; 0 elsewhere.
 
-    Pixels that touch at a side or corner belong together. A group at the image's border does not
-    count, because it may continue beyond the border.
+    Pixels that touch at a side or a corner belong to one group. Groups at the border of the image
+    do not count, because they may continue beyond it.
     """
     label, count = ndimage.label(mask, structure=_NEIGHBOURS)
     size = np.bincount(label.ravel(), minlength=count + 1)
@@ -69,13 +69,13 @@ def small_islands(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
 
 
 def missing_among(valid: Bool[np.ndarray, "h w"], among: Bool[np.ndarray, "h w"]) -> float:
-    """Return the share without depth of the pixels whose four neighbours are all in a mask."""
+    """Return the share of pixels without depth among those whose four neighbours are in a mask."""
     ring = among[1:-1, :-2] & among[1:-1, 2:] & among[:-2, 1:-1] & among[2:, 1:-1]
     return float((ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1))
 
 
 def summarise_missing(counts: Sequence[MissingCounts]) -> Missing:
-    """Return shares of the pixels of all maps; by brightness, only of maps with a picture."""
+    """Return shares of missing pixels in all maps; shares by brightness use maps with a picture."""
     pixels = sum(c.pixels for c in counts)
     lit = [c for c in counts if c.total_at is not None]
     by_brightness, drop_out = [], None
@@ -120,12 +120,12 @@ def _by_size(sizes_px: Int[np.ndarray, " n"], maps: int) -> dict[str, float]:
 def drop_out_step(
     total_at: Int[np.ndarray, " levels"], missing_at: Int[np.ndarray, " levels"]
 ) -> DropOut | None:
-    """Find the brightness step at which the missing share falls; None if there is no step.
+    """Find the brightness at which the missing share falls in a step; None if there is no step.
 
-    The step is the most likely place of a change between two constant shares (maximum likelihood
-    of two binomials); its width comes from a falling share fitted by isotonic regression. Saturated
-    pixels are left out. Shadows are dark, too: in scenes with many shadows, they contribute as much
-    to the share below the step as the drop-out.
+    The step maximises the likelihood of two constant shares, below and above it (binomial
+    distributions). Its width comes from a decreasing share fitted by isotonic regression. Saturated
+    pixels are left out. Shadows are dark, too: in scenes with many shadows, they may contribute as
+    much as drop-out to the share below the step.
     """
     end = int(BRIGHTNESS_EDGES[-2] * LEVELS)
     level = np.flatnonzero(total_at[:end])
@@ -152,7 +152,7 @@ def drop_out_step(
 def _binomial(
     total: Float[np.ndarray, " n"], missing: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the highest log likelihood that a constant share can have."""
+    """Return the log likelihood of the counts for the most likely constant share."""
     share = np.clip(missing / total, 1e-12, 1 - 1e-12)
     return missing * np.log(share) + (total - missing) * np.log1p(-share)
 
@@ -160,7 +160,7 @@ def _binomial(
 def _crossing(
     level: Float[np.ndarray, " n"], falling: Float[np.ndarray, " n"], value: float
 ) -> float:
-    """Return the middle between the last level above the value and the first level below."""
+    """Return the middle between the last level above the value and the first level at or below."""
     after = int(np.argmax(falling <= value))
     return float((level[max(after - 1, 0)] + level[after]) / 2)
 
@@ -181,7 +181,7 @@ def _by_brightness(
 
 
 def _reasons(scan: DepthScan) -> dict[str, int]:
-    """Count the missing pixels per reason; a reason without a name keeps its number."""
+    """Count the missing pixels per reason; a reason without a name is named by its number."""
     if scan.reason is None:
         return {}
     number, count = np.unique(scan.reason[~scan.valid], return_counts=True)

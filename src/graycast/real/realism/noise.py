@@ -1,9 +1,9 @@
 """Noise of depth about planes in small patches: standard deviation and autocorrelation.
 
-The inverse depth of a plane is exactly affine in the pixel, and triangulation noise is nearly
-uniform in inverse depth; so planes are fitted to 1/z by least squares, and residuals are converted
-to z by dz = z^2 d(1/z). A fit absorbs part of the noise. Variance and autocorrelation are corrected
-for that under one assumption: noise is not correlated over more than `REACH_PX` pixels along rows
+The inverse depth of a plane is an affine function of the pixel, and triangulation noise is nearly
+uniform in inverse depth. So planes are fitted to 1/z by least squares, and residuals are converted
+to z by dz = z^2 d(1/z). Variance and autocorrelation are corrected for the part of the noise that a
+fit absorbs. This assumes that noise is not correlated over more than `REACH_PX` pixels along rows
 or columns.
 """
 
@@ -25,18 +25,18 @@ _OUTLIER_SIGMAS = 5.0
 _DEGREE = 5
 _TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2
 _PLANE = 3  # The first three terms of the basis are a plane; the other terms describe bending.
-_CERTAINTY = 0.999  # A patch is called bent only with this statistical certainty.
+_CERTAINTY = 0.999  # confidence level of the test for bent patches
 _ROUNDS = 4
 _LEAST_PATCHES = 5  # Fewer patches do not determine an autocorrelation.
 
-# Lags (dx, dy) between two pixels: half of the plane, as the other half is the same; zero first.
+# Lags (dx, dy) between two pixels, zero first: half of the plane, because the other is symmetric.
 LAGS = [(dx, dy) for dy in range(REACH_PX + 1) for dx in range(-REACH_PX, REACH_PX + 1)
         if dy > 0 or dx >= 0]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatchNoise:
-    """Flat patches of one map, and counts of candidates and outliers."""
+    """Noise and depth of the flat patches of one map, and counts of candidates and outliers."""
 
     candidates: int
     outliers: int
@@ -48,12 +48,12 @@ class PatchNoise:
 
 
 def measure_noise(scan: DepthScan) -> PatchNoise:
-    """Fit planes to the patches of a map with few holes, and keep the flat patches.
+    """Fit planes to the patches of a map that have few holes, and measure the flat patches.
 
-    A patch is bent, and left out, if the terms of second to fifth degree of a fit absorb more of
-    the residuals than noise with the map's own autocorrelation would cause in one of 1000 patches.
-    The autocorrelation comes from the residuals of the full fit, first in the half of the patches
-    that bends least, then in the flat patches. So the amount of noise does not decide.
+    A patch is bent, and left out, if the terms of second to fifth degree of a polynomial fit reduce
+    the residuals more than noise with the map's own autocorrelation does in 99.9 % of patches. The
+    autocorrelation comes from the residuals of the polynomial fit, first in the half of the patches
+    that bends least, then in the flat patches. So the test does not depend on the noise level.
     """
     inverse = tiles(1.0 / scan.depth_m, PATCH_PX).reshape(-1, PATCH_PX**2).astype(np.float64)
     inverse = inverse[(~np.isnan(inverse)).mean(axis=1) >= _LEAST_VALID]
@@ -61,7 +61,7 @@ def measure_noise(scan: DepthScan) -> PatchNoise:
     flat, correlation = _flat(fit)
     clean = fit.used.all(axis=1) & flat
     count, loss = fit.used.sum(axis=1)[flat], _fit_loss(correlation, _PLANE)
-    # A hole removes a pixel and its noise, but the fit still uses as many degrees of freedom.
+    # Holes reduce the number of pixels, but not the degrees of freedom that the fit absorbs.
     variance = fit.plane_power[flat] / (count - loss)
     depth_m = 1.0 / (fit.plane[flat, 0] / PATCH_PX)
     return PatchNoise(
@@ -78,10 +78,10 @@ def measure_noise(scan: DepthScan) -> PatchNoise:
 def autocorrelation(
     products: Float[np.ndarray, " lags"], terms: int = _PLANE
 ) -> Float[np.ndarray, " lags"]:
-    """Return the noise's autocorrelation at `LAGS` from the mean products of a fit's residuals.
+    """Return the autocorrelation of noise at `LAGS` from the mean products of a fit's residuals.
 
-    The residuals of noise n are r = M n with M = 1 - H, so their covariance is M C M: the mean
-    products are linear in the lags of C, and there are as many products as lags.
+    A fit with hat matrix H leaves the residuals r = M n of the noise n, with M = 1 - H. Their
+    covariance is M C M, so the mean products are linear in the autocovariance C at all lags.
     """
     covariance = np.linalg.solve(_lag_matrix(terms), products)
     return covariance / covariance[0]
@@ -104,7 +104,7 @@ class _Fit:
 
 
 def _fit(inverse: Float[np.ndarray, "n pixels"]) -> _Fit:
-    """Fit planes and full polynomials; repeat twice without the outliers of the full fit."""
+    """Fit planes and full polynomials; repeat twice without the outliers of the polynomials."""
     valid = ~np.isnan(inverse)
     value = np.where(valid, inverse, 0.0)
     used = valid
@@ -144,7 +144,7 @@ def _least_squares(
 
 @cache
 def _basis() -> Float[np.ndarray, "pixels terms"]:
-    """Return a patch's orthonormal polynomials: a constant, x, y, then up to `_DEGREE`."""
+    """Return orthonormal polynomials on a patch: 1, x, y, and terms up to degree `_DEGREE`."""
     t = np.arange(PATCH_PX) - (PATCH_PX - 1) / 2
     x, y = (c.ravel() for c in np.meshgrid(t, t))
     powers = [(d - j, j) for d in range(_DEGREE + 1) for j in range(d + 1)]
@@ -153,7 +153,7 @@ def _basis() -> Float[np.ndarray, "pixels terms"]:
 
 
 def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " lags"]]:
-    """Return a mask of the patches that are planes, and the noise's autocorrelation."""
+    """Return a mask of the flat patches, and the autocorrelation of the noise."""
     smooth = (fit.outliers <= _MOST_OUTLIERS * PATCH_PX**2) & (fit.rest_power > 0)
     bend = (fit.plane_power - fit.rest_power) / np.where(smooth, fit.rest_power, np.nan)
     flat = smooth & (bend <= (np.median(bend[smooth]) if smooth.any() else 0.0))
@@ -168,10 +168,10 @@ def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " lags"]
 
 
 def _most_bend(correlation: Float[np.ndarray, " lags"]) -> float:
-    """Return the bend that noise hardly exceeds, as a share of the full fit's residual power.
+    """Return the bend of a plane that noise hardly exceeds, relative to the full fit's residuals.
 
-    The bending terms' power is a sum of chi-squares with the eigenvalues of their covariance as
-    weights, approximated by one chi-square of equal mean and variance (Satterthwaite).
+    The power of the bending terms is a sum of chi-squares, weighted by the eigenvalues of their
+    covariance. It is approximated by a chi-square of equal mean and variance (Satterthwaite).
     """
     bending = _coefficient_covariance(correlation)[_PLANE:, _PLANE:]
     weight = np.linalg.eigvalsh(bending).clip(min=0)
@@ -181,14 +181,14 @@ def _most_bend(correlation: Float[np.ndarray, " lags"]) -> float:
 
 
 def _fit_loss(correlation: Float[np.ndarray, " lags"], terms: int) -> float:
-    """Return the noise variance that a fit absorbs, in pixels: 3 for a plane in white noise."""
+    """Return the noise power that a fit absorbs, in pixels: 3 for a plane in white noise."""
     return float(np.trace(_coefficient_covariance(correlation)[:terms, :terms]))
 
 
 def _coefficient_covariance(
     correlation: Float[np.ndarray, " lags"],
 ) -> Float[np.ndarray, "terms terms"]:
-    """Return the covariance of a fit's coefficients in noise of unit variance."""
+    """Return the covariance of the coefficients of a fit to noise of unit variance."""
     return np.tensordot(correlation, _lags_in_basis(), axes=1)
 
 
@@ -202,7 +202,7 @@ def _lags_in_basis() -> Float[np.ndarray, "lags terms terms"]:
 
 @cache
 def _lag_indicators() -> Float[np.ndarray, "lags pixels pixels"]:
-    """Return, per lag, 1 for each pair of a patch's pixels at that lag, in either order."""
+    """Return a matrix per lag, which is 1 for each pair of pixels at this lag, in either order."""
     y, x = np.divmod(np.arange(PATCH_PX**2), PATCH_PX)
     dx, dy = x[None, :] - x[:, None], y[None, :] - y[:, None]
     return np.stack([((dx == a) & (dy == b)) | ((dx == -a) & (dy == -b)) for a, b in LAGS]).astype(
@@ -212,9 +212,9 @@ def _lag_indicators() -> Float[np.ndarray, "lags pixels pixels"]:
 
 @cache
 def _lag_matrix(terms: int) -> Float[np.ndarray, "lags lags"]:
-    """Return the expected mean products at each lag (rows) for unit covariance at each (columns).
+    """Return the matrix that maps the autocovariance of noise to the mean products of residuals.
 
-    With H = B B^T, the sum of E_k (1 - H) E_l (1 - H) over all pixels is split into products of E B
+    With the indicators E and H = B B^T, the trace of E_k (1 - H) E_l (1 - H) is computed from E B
     and B^T E B, which are small.
     """
     indicator, basis = _lag_indicators(), _basis()[:, :terms]
@@ -226,8 +226,7 @@ def _lag_matrix(terms: int) -> Float[np.ndarray, "lags lags"]:
 
 
 def _lag_products(rest: Float[np.ndarray, "n pixels"]) -> Float[np.ndarray, " lags"]:
-    """Return sums over patches of the mean product of residuals at `LAGS`, each patch scaled to
-    unit power, so that noisy and quiet patches count equally."""
+    """Sum the mean products of residuals at `LAGS` over patches, each scaled to unit power."""
     power = (rest**2).mean(axis=1, keepdims=True)
     r = (rest / np.sqrt(power)).reshape(-1, PATCH_PX, PATCH_PX)
     sums = []

@@ -1,11 +1,11 @@
-"""Squares cut from depth maps, and features of each square that show the sensor, not the shape.
+"""Squares cut from depth maps, with features that depend on the sensor and not on the shape.
 
 Second differences along both directions at once, `[1 -2 1] x [1 -2 1]`, are 0 for planes and for
-every surface that bends along rows or along columns only, so that only noise remains of a smooth
-surface (Immerkaer, "Fast noise variance estimation", CVIU 64, 1996). Third differences along one
+surfaces that bend only along rows or only along columns. On a smooth surface, they therefore show
+only noise (Immerkaer, "Fast noise variance estimation", CVIU 64, 1996). Third differences along one
 direction show the correlation of the noise in that direction.
 
-Leaves out: colour; properties that need more than one map.
+Leaves out: colour, and properties that need more than one map.
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,17 @@ from .scan import DepthScan
 SQUARE_PX = 32
 STRIDE_PX = 16
 _LEAST_VALID = {"smooth": 0.7, "floor": 0.5}
-_SMOOTH_M = 2e-3  # A smooth square is this near to a paraboloid, except for the share `_STRAY`.
-_FLOOR_M = 4e-3  # A square on the floor is this near to a plane, except for the share `_STRAY`.
-_STRAY = 0.03
-_FLOOR_SHARE = 0.05  # A floor has more than this share of a map's pixels.
-_SAMPLED = 4000  # The valid ones of this many sampled pixels vote for a floor.
-# If a fifth of the pixels is floor, all three drawn pixels are on it once in 125 draws, and only
-# some of these planes are within 4 mm of the floor everywhere.
+_SMOOTH_M = 2e-3  # largest distance of a smooth square's pixels from a paraboloid
+_FLOOR_M = 4e-3  # largest distance of a floor square's pixels from the floor plane
+_STRAY = 0.03  # share of a square's pixels that may be farther away
+_FLOOR_SHARE = 0.05  # A floor has more than this share of the sampled pixels.
+_SAMPLED = 4000  # number of random pixels per map, of which the valid pixels are used
+# If a fifth of the pixels is floor, one in 125 random triples is on it, and only some of these
+# triples give a plane that is within 4 mm of the floor everywhere.
 _DRAWS = 6000
-_ELECTORS = 2000  # All draws are judged by this many pixels, and the best draws by all pixels.
+_ELECTORS = 2000  # This many pixels score all planes; then all pixels score the best planes.
 _FINALISTS = 20
-_LEAST_TRIANGLE_PX2 = 4000.0  # Twice the area; smaller triangles do not determine a slope.
+_LEAST_TRIANGLE_PX2 = 4000.0  # twice the area; smaller triangles do not determine a slope
 _TINY_M = 1e-6
 _LEAST_PAIRS = 30  # A correlation needs this many pairs of values.
 
@@ -50,7 +50,7 @@ PARABOLOID = np.stack([_X**0, _X, _Y, _X * _X, _X * _Y, _Y * _Y], axis=-1)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Squares:
-    """Squares of several maps: features, number of the map, and place in the map."""
+    """Squares of several maps: features, number of the map, and position in the map."""
 
     feature: Float[np.ndarray, "n features"]
     scan: Int[np.ndarray, " n"]
@@ -59,7 +59,7 @@ class Squares:
     is_floor: Bool[np.ndarray, " n"]
 
     def at(self, place: str) -> "Squares":
-        """Return the squares of a kind: smooth, or floor."""
+        """Return the squares of a kind: "smooth" or "floor"."""
         return self.only({"smooth": self.is_smooth, "floor": self.is_floor}[place])
 
     def of_scans(self, number: Sequence[int]) -> "Squares":
@@ -70,11 +70,11 @@ class Squares:
 
 
 def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
-    """Cut all squares from some maps that show a smooth surface or the floor.
+    """Cut all squares that show a smooth surface or the floor from some maps.
 
     Args:
-        step_m: step to which depth is rounded first, so that two sets to compare are equally fine;
-            0 does not round.
+        step_m: step to which depth is rounded first, so that two compared sets have the same
+            resolution; 0 does not round.
     """
     depths = [scan.depth_m for scan in scans]
     if step_m > 0:
@@ -88,11 +88,11 @@ def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
 def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray, "3"] | None:
     """Find the plane `1/z = g . (x, y, 1)`, with x and y in pixels, that contains most pixels.
 
-    The camera must not move between the maps, because their pixels are used together. The method
-    takes random samples of three pixels, and refines the best plane by least squares over the
-    pixels near it. The result is None if too few pixels are on a plane.
+    The camera must not move between the maps, because the pixels of all maps are used together. The
+    method is RANSAC: the best plane through three random pixels is refined by least squares. The
+    result is g, or None if too few pixels are on a plane.
     """
-    rng = np.random.default_rng(0)  # samples pixels; any seed finds the same floor
+    rng = np.random.default_rng(0)  # The floor hardly depends on which pixels are sampled.
     samples = [_some_pixels(one, rng) for one in depth_m]
     pixel, z_m = (np.concatenate(column) for column in zip(*samples, strict=True))
     if len(z_m) < 3:
@@ -118,20 +118,20 @@ def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray,
 def depth_of_floor(
     floor: Float[np.ndarray, "3"], rows: slice, columns: slice
 ) -> Float[np.ndarray, "h w"]:
-    """Return the floor's depth in a rectangle; NaN where the plane is behind the camera."""
+    """Return the floor's depth [m] in a rectangle; NaN where the plane is behind the camera."""
     row, column = np.mgrid[rows, columns]
     inverse = floor[0] * column + floor[1] * row + floor[2]
     return 1.0 / np.where(inverse > 0, inverse, np.nan)
 
 
 def second_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n h2 w2"]:
-    """Return `[1 -2 1] x [1 -2 1]` over 6, so that white noise keeps its standard deviation."""
+    """Filter by `[1 -2 1] x [1 -2 1] / 6`, so that white noise keeps its standard deviation."""
     along = z_m[..., :-2] - 2 * z_m[..., 1:-1] + z_m[..., 2:]
     return (along[..., :-2, :] - 2 * along[..., 1:-1, :] + along[..., 2:, :]) / 6
 
 
 def third_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n h w3"]:
-    """Return `[1 -3 3 -1] / sqrt(20)` along rows: white noise keeps its standard deviation."""
+    """Filter rows by `[1 -3 3 -1] / sqrt(20)`, so that white noise keeps its standard deviation."""
     a, b, c, d = z_m[..., :-3], z_m[..., 1:-2], z_m[..., 2:-1], z_m[..., 3:]
     return (a - 3 * b + 3 * c - d) / np.sqrt(20)
 
@@ -145,7 +145,7 @@ def correlation(
     pair = np.where(both, np.stack([a, b]), np.nan)[:, enough]
     sigma = robust_sigma(pair, axis=(0, -2, -1))
     limit = 4 * (sigma + _TINY_M)[:, None, None]
-    a, b = np.clip(np.nan_to_num(pair), -limit, limit)  # a pair with a NaN adds nothing
+    a, b = np.clip(np.nan_to_num(pair), -limit, limit)  # A pair with a NaN adds 0.
     product, a2, b2 = (one.sum(axis=(-2, -1)) for one in (a * b, a * a, b * b))
     coefficient = np.full(enough.shape, np.nan)
     power = np.sqrt(a2 * b2)
@@ -170,7 +170,7 @@ def _some_pixels(
 def _near(
     pixel: Float[np.ndarray, "n 3"], z_m: Float[np.ndarray, " n"], g: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Return a mask of the pixels within `_FLOOR_M` of a plane in front of the camera."""
+    """Return a mask of the pixels within `_FLOOR_M` of the plane g, where it has positive z."""
     inverse = pixel @ g
     return (inverse > 0) & (np.abs(1.0 / np.maximum(inverse, 1e-9) - z_m) < _FLOOR_M)
 
@@ -216,7 +216,7 @@ def _holds(
     valid: Bool[np.ndarray, "s s"],
     most_m: float,
 ) -> bool:
-    """Return whether all valid pixels except a few outliers are near the model."""
+    """Return whether all valid pixels except a share `_STRAY` are within `most_m` of the model."""
     off = np.abs(model_m - z_m)[valid]
     return bool((off <= most_m).mean() >= 1 - _STRAY)
 
@@ -224,7 +224,7 @@ def _holds(
 def _paraboloid(
     z_m: Float[np.ndarray, "s s"], valid: Bool[np.ndarray, "s s"]
 ) -> Float[np.ndarray, "s s"]:
-    """Fit a paraboloid by least squares to the pixels near it, in three rounds."""
+    """Fit a paraboloid by least squares, in three rounds without outliers; return its depth [m]."""
     used, fit = valid, np.full(z_m.shape, np.nan)
     for _ in range(3):
         if used.sum() < 30:

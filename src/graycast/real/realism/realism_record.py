@@ -1,4 +1,4 @@
-"""Report on a set of depth maps, as values for JSON; None means unknown."""
+"""Record of the statistics of a set of depth maps, stored as JSON; None means unknown."""
 
 from pathlib import Path
 
@@ -15,20 +15,20 @@ class _Record(BaseModel):
 
 
 class BinRecord(_Record):
-    """A value for a bin between two limits of a quantity; brightness is a share of the range."""
+    """A statistic of the samples in one bin of a quantity, such as brightness (0 to 1)."""
 
     low: float
     high: float
     count: int
     value: float | None  # None if `count` is 0
-    interval: tuple[float, float] | None = None  # 95 % interval of the value
+    interval: tuple[float, float] | None = None  # 95 % confidence interval of the value
 
 
 class DropOut(_Record):
-    """The brightness step below which dark pixels have no depth.
+    """The brightness below which most dark pixels have no depth.
 
-    At `brightness`, the missing share has fallen half way from `missing_below` to `missing_above`,
-    at `first` by a quarter and at `last` by three quarters.
+    From `missing_below` to `missing_above`, the missing share falls by a quarter at `first`, by
+    half at `brightness` and by three quarters at `last`.
     """
 
     brightness: float
@@ -50,9 +50,9 @@ class Missing(_Record):
 class Noise(_Record):
     """Standard deviation of z [m] about planes fitted to small patches.
 
-    `percentiles_m` has the 5th, 25th, 50th, 75th and 95th percentile of the patches. `candidates`
-    are patches with few holes, `bent` is the share of them that are not planes, and `outliers` is
-    the share of pixels beyond 5 sigma.
+    `percentiles_m` has the 5th, 25th, 50th, 75th and 95th percentile over patches. `candidates`
+    counts the patches with few holes, `bent` is the share of these that are not planes, and
+    `outliers` is the share of pixels beyond 5 standard deviations.
     """
 
     patch_px: int
@@ -67,10 +67,10 @@ class Noise(_Record):
 class Fine(_Record):
     """Noise [m] from second differences in small tiles, without noise that neighbours share.
 
-    White noise keeps its standard deviation; smoothed noise has a lower value. `percentiles_m` is
-    as in `Noise`, but of the tiles; `rough` is the share of tiles without a smooth surface.
-    `dark_to_bright` is the noise of the darkest bin divided by that of the brightest bin, and
-    `steep_to_facing` the noise at 40 to 50 degrees of incidence divided by that at 0 to 10 degrees.
+    White noise keeps its standard deviation; smoothed noise has a lower value. `percentiles_m` has
+    the same percentiles as `Noise`, over tiles. `rough` is the share of tiles without a smooth
+    surface. `dark_to_bright` is the ratio of the noise in the darkest bin to the brightest bin, and
+    `steep_to_facing` the ratio of the noise at 40 to 50 degrees of incidence to 0 to 10 degrees.
     """
 
     tile_px: int
@@ -84,9 +84,9 @@ class Fine(_Record):
 
 
 class Pairs(_Record):
-    """Noise [m] of one map, from successive maps where they show the same surface.
+    """Noise [m] of one map, from pairs of successive maps that show the same surface.
 
-    The autocorrelation is at 1, 2 and 3 pixels; None if no two maps share enough pixels.
+    The autocorrelation is at lags of 1, 2 and 3 pixels; None if no two maps share enough pixels.
     """
 
     pairs: int
@@ -97,7 +97,7 @@ class Pairs(_Record):
 
 
 class Autocorrelation(_Record):
-    """Autocorrelation of the noise at 1, 2 and 3 pixels, along the rows and along the columns."""
+    """Autocorrelation of the noise at lags of 1, 2 and 3 pixels, along rows and columns."""
 
     patches: int
     along_rows: list[float] | None
@@ -105,28 +105,28 @@ class Autocorrelation(_Record):
 
 
 class Jumps(_Record):
-    """Number per scan of pairs of neighbours with depth on different surfaces."""
+    """Mean numbers per map of jumps: neighbours with depth on different surfaces."""
 
-    right_farther: float  # the right pixel is farther than the left one
+    right_farther: float  # jumps at which the right pixel is farther
     left_farther: float
     below_farther: float
     above_farther: float
 
 
 class Baseline(_Record):
-    """The projector's place in the camera frame, from the widths of shadows.
+    """The projector's position in the camera frame, from the widths of shadows.
 
-    `side` is the projector's side as seen in the image. `plain_m` is the most frequent value of
-    w / (f (1/z_near - 1/z_far)), which is right for a projector neither before nor behind the
-    camera. The fit gives the components `across_m` (towards `side`) and `forward_m` (along z),
-    their length `baseline_m` with its statistical error `error_m` (dark or torn edges may add 5 to
-    15 % to the length), and `eaten_px`, the width of a gap beyond that of its shadow. `gaps.py`
-    describes the assumptions.
+    `side` is the side of the projector in the image. `plain_m` is the most frequent value of
+    w / (f (1/z_near - 1/z_far)) for gaps of width w, which assumes a projector at the camera's z.
+    The fit gives the components `across_m` (towards `side`) and `forward_m` (along z), the length
+    `baseline_m` with its standard deviation `error_m` (dark or ragged edges may add 5 to 15 % to
+    the length), and `eaten_px`, the excess width of a gap over its shadow. `gaps.py` describes the
+    assumptions.
     """
 
     side: str
     gaps: int
-    edges: float  # number of edges that cause the gaps
+    edges: float  # number of edges that cast the shadows
     agreeing: float  # share of edges that agree with the fit within 20 %
     plain_m: float
     baseline_m: float
@@ -138,16 +138,16 @@ class Baseline(_Record):
 
 
 class Steps(_Record):
-    """Number of valid pixels at a step, per scan, and the share that fly between its two sides."""
+    """Mean number of pixels at depth steps per map, and the share of flying pixels among them."""
 
     pixels: float
     flying: float | None
 
 
 class Islands(_Record):
-    """Connected groups of at most `largest_px` pixels: number per scan, and share of all pixels.
+    """Connected groups of at most `largest_px` pixels: number per map, and share of all pixels.
 
-    `holes_by_size` and `specks_by_size` are per scan; their keys are sizes of groups in pixels.
+    Holes have no depth, specks have depth. The keys of `..._by_size` are sizes of groups in pixels.
     """
 
     largest_px: int
@@ -160,7 +160,7 @@ class Islands(_Record):
 
 
 class Realism(_Record):
-    """The figures of a set of depth maps."""
+    """All statistics of a set of depth maps."""
 
     format_version: int = FORMAT_VERSION
     name: str
@@ -194,7 +194,7 @@ def read_record(path: Path) -> Realism:
     """Read a record from its file, or from a folder that `graycast real measure` wrote.
 
     Raises:
-        DatasetError: the file is missing, or has another form or version.
+        DatasetError: the file is missing, or has a wrong form or version.
     """
     file = path / RECORD_FILE if path.is_dir() else path
     try:

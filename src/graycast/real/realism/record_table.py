@@ -1,4 +1,4 @@
-"""Table of one record or of several, in plain text."""
+"""Table of the statistics of one or several sets of depth maps, in plain text."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -18,7 +18,7 @@ class Figure(NamedTuple):
 
 
 def figures(record: Realism) -> Iterator[Figure]:
-    """Yield every figure of a record in the order of the table, without empty bins."""
+    """Yield the lines of the table for one record, without empty bins."""
     noise, jumps, steps, islands = record.noise, record.jumps, record.steps, record.islands
     yield Figure("depth maps", "number", f"{record.scans}")
     yield Figure("depth maps", "pixels", f"{record.pixels}")
@@ -55,7 +55,7 @@ def figures(record: Realism) -> Iterator[Figure]:
 
 
 def table(*records: Realism) -> str:
-    """Return a table of the figures, with a column for each record."""
+    """Return a table with a column for each record."""
     columns = [{(f.section, f.name): f.text for f in figures(r)} for r in records]
     keys = _merged([list(column) for column in columns])
     sections = list(dict.fromkeys(section for section, _ in keys))
@@ -151,7 +151,7 @@ def _bins(
     unit: str,
     show: Callable[[float | None], str],
 ) -> Iterator[Figure]:
-    """Yield a line for each bin that has samples, with their number in brackets."""
+    """Yield a line for each bin with samples; brackets contain their number and the interval."""
     for one in bins:
         if one.count:
             limits = f"{factor * one.low:.3g} to {factor * one.high:.3g} {unit}"
@@ -160,7 +160,7 @@ def _bins(
 
 
 def _merged(lists: list[list[tuple[str, str]]]) -> list[tuple[str, str]]:
-    """Merge lists of keys; a key that only a later list contains comes after its predecessor."""
+    """Merge lists of keys; a new key comes after the key that precedes it in its list."""
     merged = list(lists[0])
     for keys in lists[1:]:
         at = 0

@@ -1,4 +1,4 @@
-"""One depth map of any source, with its camera and known properties."""
+"""A depth map from any source, with its camera and known properties."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-JUMP_FOOTPRINTS = 10.0  # Slopes up to arctan(10), 84 degrees, count as one surface.
+JUMP_FOOTPRINTS = 10.0  # Slopes up to arctan(10) = 84 degrees count as one surface.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,11 +16,11 @@ class DepthScan:
     Attributes:
         depth_m: z in the camera frame [m]; NaN without depth.
         K: pinhole intrinsics [px]; the centre of the top-left pixel is (0, 0). Distortion is
-            left out: give undistorted maps, or accept the lens's errors.
-        gray: brightness in the scanner's picture, as a share of its range, 0 to 1.
-        reason: a number per pixel for the reason why there is no depth.
+            left out: give undistorted maps, or accept errors at the picture's border.
+        gray: brightness in the scanner's picture, from 0 to 1.
+        reason: a number per pixel for the reason why depth is missing.
         reason_names: name of each reason; 0, or the name 'DECODED', means that there is depth.
-        baseline_m: the rig's baseline, if known; it is only shown next to the estimate.
+        baseline_m: baseline of the rig, if known; tables show it next to the estimate.
     """
 
     name: str
@@ -60,7 +60,7 @@ class DepthScan:
 
     @property
     def jump_share(self) -> float:
-        """Share of its depth by which a pixel on another surface must differ from its neighbour.
+        """Least relative difference of depth between neighbours on two surfaces.
 
         It is `JUMP_FOOTPRINTS` / f, because a pixel on a facing surface is z / f wide.
         """
@@ -68,7 +68,7 @@ class DepthScan:
 
 
 def tiles(image: Float[np.ndarray, "h w"], side_px: int) -> Float[np.ndarray, "n s s"]:
-    """Cut an image into squares, row by row, without a remainder on the right or at the bottom."""
+    """Cut an image into squares, row by row; leave out incomplete squares at right and bottom."""
     rows, columns = (length // side_px for length in image.shape)
     cut = image[: rows * side_px, : columns * side_px]
     squares = cut.reshape(rows, side_px, columns, side_px).swapaxes(1, 2)

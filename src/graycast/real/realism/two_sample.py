@@ -1,9 +1,9 @@
-"""Test of how well a classifier distinguishes two sets of depth maps.
+"""Classifier two-sample test for two sets of depth maps.
 
-Squares of both sets are cut from smooth places and from the floor. A forest of randomised trees
-learns which set a square is from, and is tested by squares of maps that it has not seen. The area
-under its ROC curve (AUC) is 0.5 if it cannot distinguish the sets, and 1 if it always can. The AUC
-of the first set's maps against each other is the best that a twin can reach.
+Squares of both sets are cut from smooth surfaces and from the floor. A forest of randomised trees
+learns from which set a square is, and is tested with squares of maps that it was not trained with.
+The area under the ROC curve (AUC) is 0.5 if the forest cannot distinguish the sets, and 1 if it
+always can. The AUC between halves of the first set is the best value that a twin can reach.
 
 Source: Lopez-Paz & Oquab, "Revisiting classifier two-sample tests", ICLR 2017.
 """
@@ -31,7 +31,7 @@ _MOST_HALVES = 6  # The first set is split into halves in at most this many ways
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Auc:
-    """Mean and standard deviation over the folds; None if a place has too few squares."""
+    """Mean and standard deviation of the AUC over the folds; None if there are too few squares."""
 
     mean: float | None
     spread: float | None
@@ -40,10 +40,10 @@ class Auc:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwoSample:
-    """The AUC of two sets, and of the first set's maps against each other, by place.
+    """The AUC between two sets, and between halves of the first set, for smooth squares and floor.
 
-    `score` has, by place, the probability that each square is from the second set, according to a
-    forest that has not seen the square's map.
+    `score` has the probability that a square is from the second set, according to a forest that was
+    trained without the square's map.
     """
 
     names: tuple[str, str]
@@ -61,10 +61,10 @@ def two_sample_test(
     seed: int,
     progress: ProgressMeter = UNWATCHED,
 ) -> TwoSample:
-    """Compare two sets by squares of maps that were left out of the learning.
+    """Compare two sets with a classifier, by cross-validation over maps.
 
     Args:
-        names: the sets' names in the table.
+        names: names of the sets, for the table.
 
     Raises:
         GraycastError: scikit-learn is not installed, or a set has fewer than two maps.
@@ -91,14 +91,14 @@ def two_sample_test(
 
 
 def sensor_auc(first: Squares, second: Squares, place: str, *, seed: int) -> float | None:
-    """Return the AUC of a classifier that distinguishes two sets' squares at one place."""
+    """Return the AUC of a classifier for the squares of two sets at one place; None if unknown."""
     return _auc(first.at(place), second.at(place), seed)[0].mean
 
 
 def depth_step_m(scans: Sequence[DepthScan]) -> float:
-    """Return the step of depth in a set's files [m]; 0 for floats.
+    """Return the step [m] of a set's quantised depth; 0 for floats.
 
-    The step is the smallest difference between a map's values if it divides all differences.
+    It is the usual difference of successive values in the first map if the others are multiples.
     """
     value = np.unique(scans[0].depth_m[scans[0].valid])
     if len(value) < 100:
@@ -124,7 +124,7 @@ def require_sklearn() -> None:
 def _auc(
     a: Squares, b: Squares, seed: int
 ) -> tuple[Auc, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]:
-    """Return the AUC, and each square's score, which is NaN if nothing can be learnt."""
+    """Return the AUC and the score of each square, which is NaN if there are too few squares."""
     from sklearn.ensemble import ExtraTreesClassifier
     from sklearn.metrics import roc_auc_score
 
@@ -156,11 +156,11 @@ def _mean(values: Sequence[float], squares: tuple[int, int]) -> Auc:
 
 
 def _against_itself(squares: Squares, seed: int) -> Auc:
-    """Compare one half of the maps with the other, over several ways to divide them."""
+    """Return the mean AUC between two halves of the maps, over several divisions into halves."""
     scans = sorted(set(squares.scan.tolist()))
     ways = list(combinations(scans, len(scans) // 2))
     if len(scans) % 2 == 0:
-        ways = ways[: len(ways) // 2]  # The second half of the ways has the same sets swapped.
+        ways = ways[: len(ways) // 2]  # The other ways have the same halves in reverse order.
     order = np.random.default_rng(seed).permutation(len(ways))[:_MOST_HALVES]
     halves = [
         (squares.of_scans(ways[k]), squares.of_scans([s for s in scans if s not in ways[k]]))
@@ -171,7 +171,7 @@ def _against_itself(squares: Squares, seed: int) -> Auc:
 
 
 def _folds(squares: Squares) -> np.ndarray:
-    """Return each square's fold; all squares of a map share one."""
+    """Return the fold of each square; all squares of a map are in one fold."""
     order = {scan: k for k, scan in enumerate(sorted(set(squares.scan.tolist())))}
     folds = max(2, min(_FOLDS, len(order)))
     return np.array([order[scan] % folds for scan in squares.scan.tolist()], dtype=int)

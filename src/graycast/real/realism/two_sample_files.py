@@ -1,4 +1,4 @@
-"""The two-sample test as a table, and a picture of the squares that distinguish the sets."""
+"""Table of a two-sample test, and picture of the squares that distinguish the sets."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,13 +14,13 @@ from .scan import DepthScan
 from .two_sample import PLACES, Auc, TwoSample
 
 CLASSIFIER = "classifier.md"
-_COLUMNS = 8  # Each row of the picture has this many squares of one set.
+_COLUMNS = 8  # number of squares in each row of the picture
 _RELIEF_MM = 0.8  # range of heights from black to white
 _PLACE = {"smooth": "smooth places", "floor": "floor"}
 
 
 def two_sample_table(test: TwoSample) -> str:
-    """Return the table in Markdown, which is readable as plain text, too."""
+    """Return the results as a Markdown table, which is also readable as plain text."""
     first, second = test.names
     rows = [
         [f"{first} against {name}", _PLACE[place], *_cells(auc[place])]
@@ -43,9 +43,9 @@ def write_two_sample(
 ) -> None:
     """Write the table to `classifier.md`, and a picture of squares to `classifier.png`.
 
-    The picture shows squares as relief over their own paraboloid, with holes in red: for each set
-    the squares of which the classifier is most certain, and the squares of the second set that the
-    classifier assigns to the first.
+    The picture shows squares as relief over a fitted paraboloid, with holes in red. Its rows have
+    the squares of each set that the classifier classifies with most certainty, and the squares of
+    the second set that it most often assigns to the first.
 
     Raises:
         GraycastError: a file cannot be written.
@@ -73,7 +73,7 @@ def write_two_sample(
 
 
 def _best(score: Float[np.ndarray, " n"]) -> list[int]:
-    """Return the indices of the highest scores, without NaN."""
+    """Return the indices of the highest scores; NaN is left out."""
     order = np.argsort(np.where(np.isnan(score), -np.inf, score))[::-1]
     return [int(k) for k in order[:_COLUMNS] if not np.isnan(score[k])]
 

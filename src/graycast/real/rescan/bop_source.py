@@ -1,13 +1,13 @@
-"""Images of a dataset in BOP's form: a split such as `lm/train_pbr`, of one camera.
+"""Reader of datasets in BOP's form: the images of one camera in a split such as `lm/train_pbr`.
 
 A scene has `scene_camera.json`, `scene_gt.json`, `rgb` or `gray`, and `depth`. With several
 cameras, names end in the camera's name, like `depth_photoneo` and `scene_gt_photoneo.json` in IPD.
-Of the pictures, only `rgb`, or else `gray`, is read, not `aolp` or `dolp`. Graycast's datasets are
-such folders, too: their perfect depth is read, but not their scanner's files (`_sl`). BlenderProc's
-`write_bop` writes `<dataset>/train_pbr` next to `camera.json`, without models.
+Only the pictures in `rgb`, or else in `gray`, are read, not `aolp` or `dolp`. Graycast's datasets
+have this form, too: their perfect depth is read, but not their scanner's files (`_sl`).
+BlenderProc's `write_bop` writes `<dataset>/train_pbr` next to `camera.json`, without models.
 
 An image without an entry in `scene_gt.json` is refused, because its objects would be missing
-without a message; an empty list means that there are no objects.
+without a message. An empty list means that the image has no objects.
 
 Sources: github.com/thodan/bop_toolkit, docs/bop_datasets_format.md; github.com/DLR-RM/BlenderProc,
 blenderproc/python/writer/BopWriterUtility.py.
@@ -42,21 +42,21 @@ from .source_files import REPAIR, pose_of, source_image, stored_depth
 
 CAMERAS = "scene_camera*.json"
 DEPTHS = (*PICTURES, ".npy")
-_NEAR = 0.02  # If all objects are nearer than this share of the median depth, units differ.
+_NEAR = 0.02  # If all objects are nearer than this share of the median depth, the unit is wrong.
 
 
 class _View(AnyCamera):
-    """A camera whose depth scale may be missing, because a user may state it."""
+    """A camera whose depth scale may be missing, because the user may state it."""
 
     depth_scale: Positive | None = None
 
 
 def open_bop(folder: Path, options: SourceOptions) -> Source:
-    """Open a split and read its records and models; pictures are read on demand.
+    """Open a split and read its JSON files and models; pictures are read on demand.
 
     Raises:
-        DatasetError: there are no images, there are several cameras and no choice, or a file is
-            missing, damaged or contradicts another.
+        DatasetError: there are no images, `options` does not choose one of several cameras, or a
+            file is missing, damaged or contradicts another.
         ConfigError: the materials file is not valid.
     """
     folders = scene_folders(folder, CAMERAS)
@@ -101,7 +101,7 @@ def open_bop(folder: Path, options: SourceOptions) -> Source:
         notes=models.notes,
         image_of=partial(_read, scenes, sensor, options),
         sensor="" if options.ray_length else sensor,
-        # BOP stores z, so a source with ray lengths needs new files in the result instead of links.
+        # BOP stores z, so for ray lengths, the result needs new depth files instead of links.
         scenes={} if options.ray_length else scenes,
     )
 
@@ -165,7 +165,7 @@ def _objects(
 
 
 def _sensor(folder: Path, folders: list[Path], request: str) -> str:
-    """Return the requested camera, or the only one; the name may be empty."""
+    """Return the name of the requested camera, or of the only camera, whose name may be empty."""
     stems = {file.stem for path in folders for file in path.glob(CAMERAS)}
     names = {stem.removeprefix("scene_camera").removeprefix("_") for stem in stems}
     sensors = sorted(name for name in names if not f"_{name}".endswith(SCANNER))
@@ -181,10 +181,10 @@ def _sensor(folder: Path, folders: list[Path], request: str) -> str:
 
 
 def _entries(scene: SceneFolder, name: str, form: Any) -> Mapping[int, Any]:
-    """Return the entries of a file by image; refuse an image number that is listed twice."""
+    """Return the entries of a JSON file by image number; refuse a number that is listed twice."""
     path = scene.path / f"{of_sensor(name, scene.sensor)}.json"
     entries = scene.record(name, form)
-    # A JSON reader keeps the last of equal keys; only image numbers are numeric keys here.
+    # A JSON reader keeps only the last of equal keys. In these files, numeric keys are images.
     numbers = Counter(int(key) for key in re.findall(rb'"(\d+)"\s*:', path.read_bytes()))
     if twice := [number for number, count in numbers.items() if count > 1]:
         raise Unreadable(f"{path.name}: image {twice[0]} is listed twice")
@@ -210,9 +210,9 @@ def _objects_of_scene(scene: SceneFolder, numbers: set[int]) -> set[int]:
 def _visible(
     scene: SceneFolder, image_id: int, z_m: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Return a mask of the instances that an image shows, or of the farthest if that is unknown.
+    """Return a mask of the visible instances of an image, or of the farthest if that is unknown.
 
-    Renderers also list objects outside of the image, which may be behind the camera.
+    Some renderers also list objects outside the image, which may be behind the camera.
     """
     name = f"{of_sensor('scene_gt_info', scene.sensor)}.json"
     if not (scene.path / name).is_file():

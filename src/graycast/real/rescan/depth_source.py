@@ -1,7 +1,7 @@
-"""Datasets with only perfect depth, in a folder `depth`, and perhaps colours in `rgb` or `gray`.
+"""Reader of datasets with only perfect depth in `depth`, and optional colours in `rgb` or `gray`.
 
-Whole numbers need a scale; floats in NPY or TIFF are metres. All pictures must be from one camera;
-in the order of their names, they become the images 0, 1 ... of scene 0.
+Integers need a scale; floats in NPY or TIFF are metres. All pictures must be from one camera. In
+the order of their names, they become the images 0, 1 ... of scene 0.
 """
 
 from functools import partial
@@ -23,14 +23,14 @@ def open_depth(folder: Path, options: SourceOptions) -> Source:
     """Open a folder of depth pictures, which are read on demand.
 
     Raises:
-        DatasetError: there are no pictures, or the camera is not known.
+        DatasetError: there are no pictures, or the intrinsics are not given.
     """
     if options.intrinsics is None:
         raise DatasetError(
             f"{folder}: depth alone does not state its camera: give --intrinsics K.json, or "
             "fx,fy,cx,cy"
         )
-    read_models({}, (), options.materials)  # This refuses materials for named objects.
+    read_models({}, (), options.materials)  # It refuses materials of objects, as there are none.
     if any(path.suffix.lower() == ".exr" for path in visible_entries(folder / "depth")):
         raise DatasetError(f"{folder / 'depth'}: has EXR files: save them as NPY or TIFF of floats")
     shots = find_shots(folder)
@@ -61,7 +61,7 @@ def _image(
             "--depth-scale 0.1"
         )
     data = read_shot(shot, files)
-    assert data.depth_m is not None  # the file exists
+    assert data.depth_m is not None  # The shot has a depth file, so its depth was read.
     rgb = data.rgb
     if rgb is None and data.gray is not None:
         rgb = np.repeat(data.gray[..., None], 3, axis=2)

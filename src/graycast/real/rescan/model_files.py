@@ -1,7 +1,7 @@
-"""Third-party models as parts, with the look from a materials file, their own look, or grey.
+"""Reader of third-party models as parts with materials from a file, their own, or grey.
 
-Checks are lenient, because a model only has to be visible: a reconstructed mesh may be open, and a
-face may point the wrong way. So such a part cannot be dropped into a bin. Vertex colours become one
+Checks are lenient, because a model is only rendered: a reconstructed mesh may be open, and a face
+may point the wrong way. So such a part cannot be dropped into a bin. Vertex colours become one
 colour for each face, in a small texture.
 
 Source: BOP's format, github.com/thodan/bop_toolkit, docs/bop_datasets_format.md: PLY files in
@@ -36,7 +36,7 @@ from ...world.parts.surface import RawMesh, Refusal, welded
 from .source_files import record_of
 
 FOLDERS = ("models", "models_cad", "models_reconst", "models_eval")
-_BACKGROUND = "background"  # key of the materials file for everything but objects
+_BACKGROUND = "background"  # key in the materials file for everything except objects
 _GREY = Material(base_color=(0.3, 0.3, 0.3))
 _REMEDY = "give their folder with --models DIR, or leave objects out with --depth-only"
 
@@ -46,8 +46,8 @@ _REMEDY = "give their folder with --models DIR, or leave objects out with --dept
 class ModelFile:
     """The mesh file of an object, the object's name, and known facts about both.
 
-    `unit` is the mesh's unit; unless the user stated it (`unit_stated`), `diameter_m` may show that
-    it is another. `diameter_m` and `symmetry` assume a `models_info.json` in millimetres.
+    `unit` is the unit of the mesh. Unless the user stated it (`unit_stated`), `diameter_m` may show
+    that it is wrong. `diameter_m` and `symmetry` assume a `models_info.json` in millimetres.
     """
 
     path: Path
@@ -61,7 +61,7 @@ class ModelFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Models:
-    """Objects by id; `plain` has the ids without a stated look, `notes` has sentences."""
+    """Parts by object id, ids of parts without a known colour (`plain`), and notes for the user."""
 
     parts: Mapping[int, Part]
     plain: frozenset[int]
@@ -71,7 +71,7 @@ class Models:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Units:
-    """The unit of a mesh, and the unit of the mesh's entry in `models_info.json`."""
+    """The unit of a mesh, and the unit of its entry in `models_info.json`."""
 
     mesh: str
     info: str
@@ -95,8 +95,8 @@ def bop_models(root: Path, models: Path | None, unit: str | None = None) -> Mapp
     """Return the model files of a dataset in BOP's form, without reading the meshes.
 
     Args:
-        root: the dataset, of which the first existing folder among `FOLDERS` is used.
-        models: a user's folder of models to use instead.
+        root: the folder of the dataset; the first existing folder of `FOLDERS` in it is used.
+        models: another folder of models, which the user chose; None uses the dataset's.
         unit: unit of the meshes if the user states it; None means BOP's millimetres.
 
     Raises:
@@ -132,7 +132,7 @@ def bop_models(root: Path, models: Path | None, unit: str | None = None) -> Mapp
 
 
 def _own_names(root: Path) -> Mapping[int, str]:
-    """Return the part names of a `generate` dataset, because BOP's files cannot contain names."""
+    """Return the part names of a dataset that Graycast generated; BOP's files have no names."""
     if not (root / CLAIM).is_file() or claim_kind(root) is not None:
         return {}
     return {part.obj_id: part.name for part in read_claim(root).parts}
@@ -141,17 +141,17 @@ def _own_names(root: Path) -> Mapping[int, str]:
 def read_models(
     files: Mapping[int, ModelFile], obj_ids: Collection[int], materials: Path | None
 ) -> Models:
-    """Read the models of the objects that a dataset's images show.
+    """Read the models of objects, with their materials.
 
     Args:
         files: all models of the dataset.
         obj_ids: ids of the models to read.
-        materials: a YAML file: under the id or name of an object, or under `default`, the name of
-            a material or a section of its keys. Keys change the mesh's own material, so that
-            `{roughness: 0.3}` keeps the colours; a name replaces the material.
+        materials: a YAML file that has, under the id or name of an object or under `default`, the
+            name of a material or a section of its keys. A section changes the mesh's own material,
+            so that `{roughness: 0.3}` keeps the colours; a name replaces the material.
 
     Raises:
-        DatasetError: an object has no model, or the model's file is damaged or in another unit.
+        DatasetError: an object has no model, or a model file is damaged or in another unit.
         ConfigError: the materials file is not valid.
     """
     looks = {} if materials is None else _looks(materials, files)
@@ -196,7 +196,7 @@ def _unit_notes(converted: Mapping[str, _Units]) -> Iterator[str]:
 
 
 def _scaled(symmetry: Symmetry, factor: float) -> Symmetry:
-    """Return the symmetry of the same part with all lengths multiplied by `factor`."""
+    """Return the symmetry of a part whose lengths are multiplied by `factor`."""
     scale = np.array([[1, 1, 1, factor]] * 3 + [[1, 1, 1, 1]])
     return Symmetry(
         discrete=tuple(matrix * scale for matrix in symmetry.discrete),
@@ -207,7 +207,7 @@ def _scaled(symmetry: Symmetry, factor: float) -> Symmetry:
 
 
 def read_background(materials: Path) -> Material | None:
-    """Return the material under `background` of the materials file, if it has one.
+    """Return the material under the key `background` of the materials file; None without this key.
 
     Raises:
         ConfigError: the file is not valid.
@@ -228,7 +228,7 @@ def _section(words: Any, path: Path, key: str | int) -> MaterialSection:
 
 
 def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, MaterialSection]:
-    """Return the materials of the objects that a file names; its default covers all others."""
+    """Return the sections of a materials file by object id; `default` covers all other objects."""
     looks: dict[int, MaterialSection] = {}
     default = None
     by_name = {file.name: obj_id for obj_id, file in files.items()}
@@ -256,9 +256,9 @@ def _looks(path: Path, files: Mapping[int, ModelFile]) -> Mapping[int, MaterialS
 def _read_model(
     file: ModelFile, look: MaterialSection, folder: Path
 ) -> tuple[Mesh, Material, _Units]:
-    """Return a mesh [m], its material and the units of its files.
+    """Read a model; return its mesh [m], its material and the units of its files.
 
-    The material has the mesh's own colours, or grey, unless the user's section changes that.
+    The material has the mesh's own colours, or grey, unless the user's section changes them.
     """
     try:
         surface = read_surface(file.path)
@@ -289,14 +289,14 @@ def _read_model(
 
 
 def _units(file: ModelFile, longest: float) -> _Units:
-    """Return the units in which a mesh has the size of a part and the stated diameter.
+    """Return the units with which a mesh has the size of a part and the stated diameter.
 
-    The diameter of a box is at least its longest side, and at most that times the root of 3. Units
-    differ by more, so that a diameter shows the unit. Without a diameter, only the file's `unit` is
-    possible. A whole dataset may be in metres, including its `models_info.json`.
+    The diameter of a mesh is between 1 and sqrt(3) times the longest side of its bounding box.
+    Units differ by larger factors, so a diameter determines the unit. Without a diameter, only
+    `file.unit` is possible. `models_info.json` may have the meshes' unit instead of millimetres.
 
     Raises:
-        Refusal: no unit, or only a unit that nothing states, gives the mesh such a size.
+        Refusal: no possible unit gives the mesh such a size.
     """
     diameter = None if file.diameter_m is None else file.diameter_m / UNITS_M["mm"]
     others = [] if file.unit_stated or diameter is None else [u for u in UNITS_M if u != file.unit]
@@ -325,7 +325,7 @@ def _within(size_m: float, low_m: float, high_m: float) -> bool:
 
 
 def _header(path: Path) -> bytes:
-    """Return the header of a PLY file; empty for any other format."""
+    """Return the header of a PLY file; empty for other formats."""
     with path.open("rb") as stream:
         return stream.read(4096).partition(b"end_header")[0] if path.suffix == ".ply" else b""
 
@@ -333,7 +333,7 @@ def _header(path: Path) -> bytes:
 def _texture(
     surface: RawMesh,
 ) -> tuple[Float[np.ndarray, "f 3 2"] | None, UInt8[np.ndarray, "h w 3"] | None]:
-    """Return uv and texture of the file, else a texture with a pixel for each face's colour."""
+    """Return the file's uv coordinates and texture, or a texture with one pixel per face colour."""
     if surface.texture is not None and surface.corner_uv is not None:
         return surface.corner_uv, surface.texture
     if surface.face_color is None:

@@ -1,4 +1,4 @@
-"""Choice of the reader for a dataset's layout; only this module knows all layouts."""
+"""Choice of the reader for a dataset by its layout; only this module knows all layouts."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -32,17 +32,18 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
     """Open a third-party dataset in any known layout; images are read on demand.
 
     Args:
-        path: a split in BOP's form, such as `lm/train_pbr`; a folder of Siléane or of Fraunhofer
-            IPA, with `camera_params.txt` or `parameter.json`; or a folder with `depth`.
+        path: a split in BOP's form, such as `lm/train_pbr`; a folder of the Siléane or Fraunhofer
+            IPA dataset, with `camera_params.txt` or `parameter.json`; or one with a folder `depth`.
         options: facts that the dataset's files do not state.
 
     Raises:
-        DatasetError: the layout is not known, an option does not belong to it, or a file is
+        DatasetError: the layout is not known, an option does not apply to it, or a file is
             missing, damaged or contradicts another.
         ConfigError: the materials file is not valid.
     """
     options = options or SourceOptions()
-    folder = Path(os.path.abspath(path))  # A link stays: models are next to it, not its target.
+    # A link is not resolved, because models are next to the link and not next to its target.
+    folder = Path(os.path.abspath(path))
     if not folder.is_dir():
         problem = "is no folder" if folder.exists() else "no such folder"
         raise DatasetError(f"{path}: {problem}: give a split such as lm/train_pbr")
@@ -61,16 +62,16 @@ def open_source(path: Path | str, options: SourceOptions | None = None) -> Sourc
 
 
 def _depth_notes(source: Source, ray_length: bool) -> list[str]:
-    """Return a note if the first images seem to have ray lengths instead of z, or the reverse."""
+    """Return a note if the first images seem to have ray length instead of z, or the reverse."""
     images = []
     for place in source.images[:_FOR_KIND]:
-        with suppress(DatasetError):  # raised later, when the image is scanned
+        with suppress(DatasetError):  # The same error is raised when the image is scanned.
             images.append(source.read(*place))
     images = [image for image in images if image.camera == images[0].camera]
     if not images:
         return []
     optics = images[0].camera
-    # The option has converted the depth to z: convert it back to test the files' own values.
+    # --ray-length has converted the depth to z, but the test needs the values of the files.
     per_z = np.linalg.norm(picture_rays(optics), axis=-1) if ray_length else 1.0
     shares = plane_shares([image.depth_m * per_z for image in images], optics)
     note = depth_kind_note(shares, ray_length=ray_length)

@@ -1,8 +1,8 @@
 """The folder of a result: the original files, linked or copied, and the scanner's files.
 
 Original files keep their names; names of the scanner's files end in `_sl`, as in Graycast's own
-datasets. `scan_sl/000012.json` is written after all pictures of image 12, so that it marks the
-image as finished; at the end of each run, the scene's JSON files are made from these records.
+datasets. The record `scan_sl/000012.json` is written after all pictures of image 12 and so marks
+the image as finished. At the end of each run, the JSON files of scenes are made from the records.
 """
 
 import shutil
@@ -41,7 +41,7 @@ from .source import Source, SourceImage
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanFolder:
-    """A result that is open for one run; with `copies`, it has copies instead of links."""
+    """The folder of a result, open for one run; `copies` makes copies instead of links."""
 
     out: Path
     source: Source
@@ -53,7 +53,7 @@ class RescanFolder:
         return {(int(path.parents[1].name), int(path.stem)) for path in records}
 
     def write(self, place: tuple[int, int], files: Iterable[tuple[str, bytes]]) -> None:
-        """Write the files of one image in order; the last one must be that of `record_file`."""
+        """Write the files of one image in order; the last must be the result of `record_file`."""
         scene = self._scene(place[0])
         for name, content in files:
             path = scene / name
@@ -64,7 +64,7 @@ class RescanFolder:
         """Refuse a source in which an image has changed since it was scanned.
 
         Raises:
-            DatasetError: an image has changed; the text has the number of such images and a name.
+            DatasetError: images have changed; the text has their number and names one of them.
         """
         finished, source = self.finished(), self.source
         images = set(source.images)
@@ -88,7 +88,7 @@ class RescanFolder:
             )
 
     def begin(self, scene_ids: Iterable[int]) -> None:
-        """Link or copy the source's models, and its scenes without the files of a scanner."""
+        """Link, copy or write the source's models, and link or copy scenes except scanner files."""
         source = self.source
         if source.scenes:
             root = source.folder.parent
@@ -120,7 +120,7 @@ class RescanFolder:
         return self.out / self.source.split / f"{scene_id:06d}"
 
     def _records(self, scene_id: int) -> dict[int, ImageRecord]:
-        """Return the records of a scene by image.
+        """Return the records of a scene by image number.
 
         Raises:
             DatasetError: a record is damaged.
@@ -133,20 +133,20 @@ class RescanFolder:
             ) from error
 
     def _bring(self, path: Path, place: Path) -> None:
-        """Link to an original file or folder, or copy it, even if there is a link already."""
+        """Link to an original file or folder, or copy it; a copy replaces a link."""
         linked = place.is_symlink()
         if place.exists() and not (linked and self.copies):
             return
         if not self.copies:
-            place.unlink(missing_ok=True)  # The file may be absent or a broken link.
+            place.unlink(missing_ok=True)  # There may be a broken link.
             place.symlink_to(path.resolve(), target_is_directory=path.is_dir())
             return
         with (
             beside(place) as aside
-        ):  # The file is complete or absent, because the next run keeps a file that exists.
+        ):  # The file must be complete or absent, because the next run keeps an existing file.
             (shutil.copytree if path.is_dir() else shutil.copyfile)(path, aside)
             if linked:
-                place.unlink()  # a folder cannot be renamed onto a link
+                place.unlink()  # A folder cannot be renamed to the name of an existing link.
 
 
 @contextmanager
@@ -158,14 +158,14 @@ def open_rescan(
     scene_ids: Iterable[int],
     copies: bool,
 ) -> Iterator[RescanFolder]:
-    """Make the folder, or continue one with the same claim, and keep other runs out.
+    """Make the folder, or continue a folder with the same claim, and lock it against other runs.
 
     Args:
-        scene_ids: ids of the scenes whose original files the folder gets.
+        scene_ids: ids of the scenes whose original files are linked or copied.
 
     Raises:
-        GraycastError: the folder has other content, was made from another source or from one that
-            has changed since, is in the source, is in use by a run, or cannot be written.
+        GraycastError: the folder has other content, was made from another source, is inside the
+            source, is in use or cannot be written, or the source has changed since.
     """
     refuse_foreign(out, CLAIM)
     original = source.folder.resolve()
@@ -190,10 +190,10 @@ def open_rescan(
 
 
 def _refuse_other_source(out: Path, source: Source) -> None:
-    """Refuse to continue a result of a dataset in another place.
+    """Refuse to continue a result that was made from a dataset in another folder.
 
     Raises:
-        DatasetError: the dataset is in another place; the text names both places.
+        DatasetError: the result was made from another folder; the text names both folders.
     """
     if is_rescanned(out):
         places = {str(source.folder), str(source.folder.resolve())}
@@ -207,13 +207,13 @@ def _refuse_other_source(out: Path, source: Source) -> None:
 def record_file(
     number: int, record: Mapping[str, Any], files: Iterable[tuple[str, bytes]]
 ) -> tuple[str, bytes]:
-    """Return path and content of an image's record, which has the SHA-256 of the image's files."""
+    """Return path and content of an image's record, including the SHA-256 of the image's files."""
     sums = {name: sha256(content) for name, content in files}
     return f"{RECORDS}/{number:06d}.json", json_bytes({**record, SUMS: sums})
 
 
 def plain_files(image: SourceImage, number: int) -> tuple[list[tuple[str, bytes]], dict[str, Any]]:
-    """Return an image of another layout in BOP's form: pictures, and entries of JSON files."""
+    """Return the pictures and JSON entries of an image, converted from any layout to BOP's form."""
     scale_mm = depth_scale_mm(float(np.nanmax(image.depth_m)))
     steps = depth_steps(image.depth_m, scale_mm, needed=np.isfinite(image.depth_m))
     files = [(picture_name("depth", number), png(steps))]

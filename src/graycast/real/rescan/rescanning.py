@@ -50,7 +50,7 @@ from .staging import Staged, stage, with_camera
 
 _LEAST_IN_RANGE = 0.01  # least share of the depth that must be in the rig's range
 _NOT_CLAIMED = ("seed", "images", "copies", "device")  # The claim stores the seed separately.
-_BY_CONTENT = ("models", "materials", "intrinsics")  # The claim stores the contents of these files.
+_BY_CONTENT = ("models", "materials", "intrinsics")  # The claim stores the content of these files.
 
 
 @public_value
@@ -58,9 +58,9 @@ _BY_CONTENT = ("models", "materials", "intrinsics")  # The claim stores the cont
 class RescanSpec:
     """Options of a rescan: the camera, the rendering, the images, and the seed.
 
-    If `camera` is 'image', the image's intrinsics replace the rig's; if it is 'rig', the rig's own
-    camera has the place of the image's. `images` is the number of first images to scan; None scans
-    all. `copies` makes copies of the original files instead of links.
+    With `camera='image'`, the image's intrinsics replace those of the rig. With 'rig', the camera
+    of the rig is at the position of the image's camera. `images` scans only this number of first
+    images; None scans all. `copies` makes copies of the original files instead of links.
     """
 
     camera: Literal["image", "rig"] = "image"
@@ -77,9 +77,9 @@ class RescanSpec:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanSummary:
-    """Summary of a run: images written, already there, and set aside.
+    """Summary of a run: numbers of written and already finished images, and images set aside.
 
-    The shares refer to all pixels of the written images, and to the pixels that see objects.
+    The shares refer to all pixels of the written images, and to the pixels that show objects.
     """
 
     written: int
@@ -91,7 +91,7 @@ class RescanSummary:
 
 
 class ImageScanner:
-    """Scans the images of one task with one renderer, which stays open between images."""
+    """Scanner of the images of one task, with one renderer that stays open between images."""
 
     def __init__(self, task: "RescanTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
@@ -101,12 +101,13 @@ class ImageScanner:
         """Scan one image; `scene_id` is its index among the images of the source.
 
         Raises:
-            DatasetError, DecodeError, ValueError: this image cannot be scanned; others may be.
+            DatasetError, DecodeError, ValueError: this image cannot be scanned.
         """
         start = time.perf_counter()
         task = self._task
         scene, number = task.source.images[scene_id]
-        sums = task.source.sums(scene, [number])[number]  # Sums before reading show later changes.
+        # Checksums are computed before the image is read, so that they show later changes.
+        sums = task.source.sums(scene, [number])[number]
         image = task.source.read(scene, number)
         _refuse_out_of_range(image, task.scanner)
         scanner = task.scanner
@@ -120,12 +121,12 @@ class ImageScanner:
             unknown_look=task.source.plain,
             background=task.source.background,
         )
-        # Rescans by different rigs, or of different cameras' pictures, have independent noise.
+        # Rescans with different rigs or of different cameras must have independent noise.
         name = f"{scanner.rig.name} {task.source.sensor}".rstrip()
         seeds = rescan_seeds(task.seed, scene, scanner=name, image=number)
         sample, facts = self._scanned(staged, scanner, seeds, number)
         files, entries = scanner_files(sample, task.depth_scale_mm, staged.obj_id)
-        for key in ("cam_R_w2c", "cam_t_w2c"):  # `stage`'s world frame is valid only in this run.
+        for key in ("cam_R_w2c", "cam_t_w2c"):  # The world frame of `stage` is not the dataset's.
             del entries["scene_camera_sl"][key]
         step_mm = image.step_m * MM_PER_M
         if not task.source.scenes:
@@ -153,7 +154,7 @@ class ImageScanner:
     def _scanned(
         self, staged: Staged, scanner: Scanner, seeds: dict[str, int], number: int
     ) -> tuple[Sample, dict[str, Any]]:
-        """Return the sample of a staged image, and facts for the image's record."""
+        """Render and measure a staged image; return the sample and values for its record."""
         task = self._task
         render = task.spec.render
         with self._renderer.of(render) as renderer:
@@ -182,8 +183,7 @@ class ImageScanner:
             "reasons": reasons,
             "part_reasons": reason_shares(depth.reason[own]),
         }
-        # The staged depth is not written, so depth beyond the rig's range is clipped to the largest
-        # value that 16 bits can store.
+        # This depth is not written, so it may be clipped to the largest value of 16 bits.
         deepest_m = DEPTH_MAX * task.depth_scale_mm / MM_PER_M
         truth = replace(
             rendering.truth, depth_m=np.minimum(rendering.truth.depth_m, np.float32(deepest_m))
@@ -208,7 +208,7 @@ class ImageScanner:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RescanTask(Job):
-    """Data that a worker needs to scan any image of a source."""
+    """Data that a worker process needs to scan any image of a source."""
 
     RUNNER = ImageScanner
 
@@ -231,8 +231,8 @@ def rescan(
 ) -> RescanSummary:
     """Scan the images of a source that are not in `out` yet.
 
-    An image that cannot be scanned is set aside, and the run continues; `set_aside.json` names that
-    image, and the next run tries it again.
+    An image that cannot be scanned is set aside, and the run continues. `set_aside.json` names such
+    images, and the next run tries them again.
 
     Raises:
         GraycastError, ValueError: no image can be scanned, for the reason in the text; or the
@@ -300,10 +300,10 @@ def _name(place: tuple[int, int]) -> str:
 
 
 def _refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:
-    """Refuse an image in which the rig can measure nothing.
+    """Refuse an image whose depth is outside the rig's range.
 
     Raises:
-        DecodeError: hardly any depth is within the rig's range.
+        DecodeError: too little depth is within the rig's range.
     """
     depth_m = image.depth_m[np.isfinite(image.depth_m)]
     rig = scanner.rig
@@ -318,10 +318,10 @@ def _refuse_out_of_range(image: SourceImage, scanner: Scanner) -> None:
 
 
 def _refuse_hopeless(source: Source, first: Sequence[tuple[int, int]], scanner: Scanner) -> None:
-    """Refuse a rig that cannot measure any of the first images, before any work is done.
+    """Refuse a rig that cannot measure any of the first images, before any image is scanned.
 
     Raises:
-        ConfigError: all first images are out of the rig's range.
+        ConfigError: the depth of all first images is outside the rig's range.
     """
     errors = []
     for scene_id, image_id in first:
@@ -330,7 +330,7 @@ def _refuse_hopeless(source: Source, first: Sequence[tuple[int, int]], scanner: 
             return
         except DecodeError as error:
             errors.append(f"scene {scene_id}, image {image_id}: {error}")
-        except DatasetError:  # the run skips this image and records the reason
+        except DatasetError:  # The run sets this image aside with the reason.
             return
     raise ConfigError(errors[0])
 
@@ -345,9 +345,9 @@ def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
 
 
 def _claim(task: RescanTask) -> dict[str, Any]:
-    """Return the content of `graycast.json`: everything on which the files depend.
+    """Return the content of `graycast.json`: all options and values on which the result depends.
 
-    The content of the source's files is in the record of each image.
+    Checksums of the source's files are in the record of each image.
     """
     source, spec = task.source, task.spec
     intrinsics = source.options.intrinsics

@@ -1,22 +1,22 @@
-"""Images of the Siléane and the Fraunhofer IPA Bin-Picking dataset, with one kind of part each.
+"""Readers of the Siléane and the Fraunhofer IPA Bin-Picking datasets: one kind of part per folder.
 
-Depth has 16 bits from one clipping plane to the other, lengths are metres, and the mesh is
-`mesh.ply`. Files that contradict this are refused.
+In both, depth has 16 bits from the near to the far clipping plane, lengths are in metres, and the
+mesh is `mesh.ply`. Files that contradict this are refused.
 
-Siléane (`camera_params.txt`, `depth_gt` or `depth`, `gt/*.json`, `rgb`): the poses and the camera,
-given as place and quaternion w x y z, are in one absolute frame; white means unknown depth. Without
-`depth_gt`, depth has noise. Source: R. Brégier et al., "Symmetry aware evaluation of 3D object
-detection and pose estimation in scenes of many parts in bulk", ICCVW 2017;
+Siléane (`camera_params.txt`, `depth_gt` or `depth`, `gt/*.json`, `rgb`): the poses of parts and
+camera are in one absolute frame; the camera's is given as position and quaternion w x y z, which is
+assumed to rotate from camera to absolute frame, as in public readers. White means unknown depth.
+Without `depth_gt`, depth has noise. Source: R. Brégier et al., "Symmetry aware evaluation of 3D
+object detection and pose estimation in scenes of many parts in bulk", ICCVW 2017;
 rbregier.github.io/dataset2017 and the sample in github.com/rbregier/pose_recovery_evaluation.
-Public readers assume that the quaternion turns the camera's frame into the absolute frame.
 
 IPA (`parameter.json`, `p_depth/cycle_0000/001_depth_uint16.png`, `gt/cycle_0000/001.csv`, `p_rgb`):
-a picture is cut out of a square with the axis in its middle; orthographic pictures are refused.
-Poses refer to a frame with x left and y up. A row has id, class, translation, the three columns of
-the rotation, and visible shares; id 0 is the bin, and image 0 the empty bin. Source: K. Kleeberger
-et al., "Large-scale 6D object pose estimation dataset for industrial bin-picking", IROS 2019; the
-format follows a public reader (PPR-Net), because no files were available. Not verified: that 0 and
-65535 mean unknown depth.
+a picture is cut from a larger square picture, whose centre is on the optical axis. Orthographic
+pictures are refused. Poses refer to a frame with x left and y up. A row has id, class, translation,
+the three columns of the rotation, and visible shares; id 0 is the bin, and image 0 shows the empty
+bin. Source: K. Kleeberger et al., "Large-scale 6D object pose estimation dataset for industrial
+bin-picking", IROS 2019. The format follows a public reader (PPR-Net), because no files were
+available. It is not verified that 0 and 65535 mean unknown depth.
 """
 
 import math
@@ -42,7 +42,7 @@ from .source_files import REPAIR, pose_of, record_of, source_image, stored_steps
 SILEANE, IPA = "camera_params.txt", "parameter.json"
 _IPA_DEPTH = "_depth_uint16.png"
 _WHITE = 65535
-_FROM_IPA = np.diag([-1.0, -1.0, 1.0, 1.0])  # from x left and y up to x right and y down
+_FROM_IPA = np.diag([-1.0, -1.0, 1.0, 1.0])  # converts x left, y up to x right, y down
 
 
 class _Record(BaseModel):
@@ -64,7 +64,7 @@ class _CameraParams(_Record):
 
 
 class _Parameter(_Record):
-    perspectiveAngle: Annotated[float, Field(ge=0, lt=180)]  # [deg] field of view, square picture
+    perspectiveAngle: Annotated[float, Field(ge=0, lt=180)]  # [deg] field of view of the square
     resolutionX: Count
     resolutionY: Count
     resolution_big: Annotated[int, Field(ge=1)]
@@ -79,7 +79,7 @@ class _Pose(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Camera:
-    """Data that all images of a folder share; `poses` reads an image's poses by its depth file."""
+    """Data that all images of a folder share; `rgb_name` and `poses` take a depth file's path."""
 
     path: Path
     K: list[float]
@@ -91,7 +91,7 @@ class _Camera:
 
 
 def open_sileane(folder: Path, options: SourceOptions) -> Source:
-    """Open the images of one of Siléane's objects; image i is the i-th of the sorted names.
+    """Open the images of one object of the Siléane dataset, numbered in the order of names.
 
     Raises:
         DatasetError: a file is missing, damaged or contradicts another.
@@ -134,10 +134,10 @@ def _poses_of_sileane(T_cam_world: np.ndarray, depth: Path) -> list[np.ndarray]:
 
 
 def open_ipa(folder: Path, options: SourceOptions) -> Source:
-    """Open the images of a folder of the IPA dataset; each cycle is a scene.
+    """Open the images in a folder of the IPA dataset; each cycle is a scene.
 
     Raises:
-        DatasetError: a file is missing, damaged or contradicts another, or is orthographic.
+        DatasetError: depth is orthographic, or a file is missing, damaged or contradicts another.
     """
     path = folder / IPA
     camera = record_of(path, _Parameter)
@@ -170,14 +170,14 @@ def open_ipa(folder: Path, options: SourceOptions) -> Source:
 
 
 def _beside(kind: str, end: str, depth: Path) -> Path:
-    """Return the path of another file of a depth picture's image, in the same cycle."""
+    """Return the path of another file that belongs to the same image as a depth file."""
     name = depth.name.removesuffix(_IPA_DEPTH) + end
     return depth.parents[2] / kind / depth.parent.name / name
 
 
 def _poses_of_ipa(depth: Path) -> list[np.ndarray]:
     path = _beside("gt", ".csv", depth)
-    if int(path.stem) == 0 and not path.exists():  # image 0 of a cycle is the empty bin
+    if int(path.stem) == 0 and not path.exists():  # Image 0 of a cycle shows the empty bin.
         return []
     try:
         lines = path.read_text(encoding="utf-8").splitlines()[1:]

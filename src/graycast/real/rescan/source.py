@@ -1,7 +1,7 @@
 """Images of a third-party dataset in any layout, and facts that its files do not state.
 
-Frames: `T_cam_part` transforms a model's coordinates [m] to OpenCV's camera frame (x right, y down,
-z forward). Depth is z in that frame in metres.
+Frames: `T_cam_part` transforms the coordinates [m] of a model to OpenCV's camera frame (x right,
+y down, z forward). Depth is z in this frame in metres.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -28,19 +28,19 @@ from ...world.parts import Material, Part
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceOptions:
-    """Facts that the files of a dataset do not state, and the choice of what to read.
+    """Facts that the files of a dataset do not state, and choices of what to read.
 
     Attributes:
         sensor: name of the camera to use if a dataset has several.
-        models: folder of models, or mesh of the only object; None searches the dataset's folder.
+        models: folder of models, or mesh file of the only object; None uses the dataset's folder.
         materials: a YAML file with a material for each object and for the background; see
             `model_files.read_models` and `read_background`.
-        depth_scale_mm: millimetres of one step of stored depth; it has precedence over files.
+        depth_scale_mm: millimetres of one step of stored depth; it overrides the files' scale.
         intrinsics: a file or `fx,fy,cx,cy`, for a dataset with only depth.
-        depth_only: whether objects are left out: no models are needed, and no poses are read.
-        unit: unit of the models, a key of `UNITS_M`; None takes the unit of the layout, or the one
-            that a diameter in `models_info.json` shows.
-        ray_length: whether depth is the distance along each pixel's ray; it is converted to z.
+        depth_only: whether to leave out objects; then models are not needed and poses not read.
+        unit: unit of the models, a key of `UNITS_M`; None uses the unit of the layout, or the unit
+            that agrees with a diameter in `models_info.json`.
+        ray_length: whether depth is the distance along each pixel's ray, which is converted to z.
     """
 
     sensor: str = ""
@@ -66,9 +66,9 @@ class SourceOptions:
 class SourceImage:
     """One image: depth and colours, and the objects with their poses.
 
-    `depth_m` is NaN where depth is not known, `rgb` is None without a colour picture; a grey
-    picture has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`. Depth
-    is a multiple of `step_m`; a step of 0 means floating-point numbers.
+    `depth_m` is NaN where depth is unknown. `rgb` is None if there is no picture; a grey picture
+    has three equal bands. Instance i is the object `obj_id[i]` at `T_cam_part[i]`. Depth is
+    quantised in steps of `step_m`; a step of 0 means floating-point numbers.
     """
 
     camera: Optics
@@ -86,18 +86,17 @@ class Source:
     """A third-party dataset, or one of its splits; images are read on demand.
 
     Attributes:
-        folder: the split's folder in BOP's form, or the whole dataset's in another layout.
+        folder: folder of the split in BOP's form, or of the whole dataset in another layout.
         split: name of the split in the result, such as `train_pbr`.
         images: scene and image numbers, in order.
-        parts: the objects by their ids, in metres and with their look; empty without models.
-        plain: the ids of parts whose look nothing states: they are grey.
-        image_of: function that reads an image of a scene; it can be pickled for workers.
-        sensor: name of the camera, with which its files end; "" if the names of files have no
-            such end.
-        scenes: the folders of scenes in BOP's form, by their numbers, to whose files the result may
-            link; empty in another layout.
-        background: material of everything that is no object; None takes the pictures' look.
-        notes: sentences about findings and about things that look wrong.
+        parts: the objects by id, in metres and with materials; empty without models.
+        plain: the ids of parts without a known colour; they are grey.
+        image_of: function that reads an image of a scene; it can be pickled for worker processes.
+        sensor: name of the camera, which is the suffix of its files; "" without a suffix.
+        scenes: folders of the scenes in BOP's form by number, to whose files the result may link;
+            empty for other layouts.
+        background: material of everything except objects; None takes colours from the pictures.
+        notes: messages for the user about conversions and probable mistakes.
         options: the options used to open the dataset.
     """
 
@@ -124,7 +123,7 @@ class Source:
         return self.image_of(scene_id, image_id)
 
     def sums(self, scene_id: int, image_ids: Iterable[int]) -> dict[int, dict[str, str]]:
-        """Return the SHA-256 of all that the scan of each image depends on, by name.
+        """Return, for each image, the SHA-256 of all data on which its scan depends, by name.
 
         Raises:
             DatasetError: a file is missing or damaged; the text names it.
@@ -139,13 +138,13 @@ class Source:
 
 
 def _sums_of(image: SourceImage) -> dict[str, str]:
-    """Return the SHA-256 of each field of an image, whatever files it was read from."""
+    """Return the SHA-256 of each field of an image, independent of the files."""
     content = {name: value for name, value in described_values(image).items() if value is not None}
     return {name: sha256(json_bytes({name: _state(value)})) for name, value in content.items()}
 
 
 def _state(value: Any) -> Any:
-    """Return a value for JSON; an array becomes its shape, type and SHA-256."""
+    """Return a value for JSON; an array is replaced by its shape, type and SHA-256."""
     if not isinstance(value, np.ndarray):
         return value
     return [value.shape, str(value.dtype), sha256(np.ascontiguousarray(value).tobytes())]

@@ -1,4 +1,4 @@
-"""Reading of third-party depth, colours, cameras and poses, with checks and short errors."""
+"""Readers of third-party depth, colours, cameras and poses, with checks."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from ..picture_pairs import refuse_damaged
 from .source import SourceImage
 
 REPAIR = "repair the file, or download it again"
-_ROUNDED = 2e-3  # twice the error of rotations that are written with three digits
+_ROUNDED = 2e-3  # twice the error of rotation matrices that are written with three digits
 
 R = TypeVar("R")
 
@@ -39,18 +39,18 @@ def source_image(
     step_m: float,
     ray_length: bool = False,
 ) -> SourceImage:
-    """Return an image from its depth and its files.
+    """Return an image from its depth, its picture's file, its camera and its objects.
 
     Args:
-        depth_m: depth as returned by `stored_depth`, like `step_m`.
+        depth_m: depth from `stored_depth`.
         rgb: path of the colour or grey picture.
         camera: the matrix by rows, and its place in the files for errors.
         objects: id and pose of each object.
-        distortion: distortion of the camera.
+        step_m: step of the depth from `stored_depth`.
         ray_length: whether `depth_m` is the distance along each pixel's ray, to convert to z.
 
     Raises:
-        DatasetError: the picture has another size or is damaged, or the matrix is not a camera's.
+        DatasetError: the picture is damaged or of another size, or the matrix has a wrong form.
     """
     colours = None if rgb is None else _rgb(rgb)
     if colours is not None and colours.shape[:2] != depth_m.shape:
@@ -70,10 +70,10 @@ def source_image(
 
 
 def stored_steps(path: Path) -> np.ndarray:
-    """Read stored depth with one channel: whole numbers of 16 bits, or floats.
+    """Read stored depth with one channel: 16-bit integers or floats.
 
     Raises:
-        DatasetError: the file is missing, damaged, or of another kind.
+        DatasetError: the file is missing, damaged, or of another type.
     """
     steps = load_npy(path) if path.suffix == ".npy" else _picture(path)
     if steps.ndim != 2 or (steps.dtype != np.uint16 and steps.dtype.kind != "f"):
@@ -85,7 +85,7 @@ def stored_steps(path: Path) -> np.ndarray:
 
 
 def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], float]:
-    """Read depth [m] and its step, which is 0 for floats; 0 and non-finite values become NaN.
+    """Read depth [m] and its step [m], which is 0 for floats; unknown depth becomes NaN.
 
     Raises:
         DatasetError: see `stored_steps`; or depth is negative or too large.
@@ -98,7 +98,7 @@ def stored_depth(path: Path, scale_m: float) -> tuple[Float[np.ndarray, "h w"], 
 
 
 def _rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a colour picture, or a grey picture with three equal bands; 16 bits become 8."""
+    """Read a colour picture, or a grey picture as three equal bands; 16 bits are reduced to 8."""
     image = _picture(path)
     image = image[..., None] if image.ndim == 2 else image
     if image.dtype == np.uint16:
@@ -118,10 +118,10 @@ def _picture(path: Path) -> np.ndarray:
 def camera_of(
     K: Any, where: str, size_px: tuple[int, ...], distortion: Sequence[float] = (0.0,) * 5
 ) -> Optics:
-    """Return the camera with a matrix given by rows; `size_px` is height and width.
+    """Return the camera with the matrix K, given by rows; `size_px` is height and width.
 
     Raises:
-        DatasetError: the matrix is not a camera's, or has a skew.
+        DatasetError: K is not a camera matrix, or has a skew.
     """
     matrix = np.reshape(K, (3, 3)).astype(float)
     (fx, skew, _), (zero, _, _), last = matrix.tolist()
@@ -137,10 +137,10 @@ def camera_of(
 
 
 def pose_of(rotation: Any, translation_m: Any, where: str) -> Float[np.ndarray, "4 4"]:
-    """Return a pose from numbers in a file, with the rotation nearest to the rounded numbers.
+    """Return a pose from a file, with the rotation matrix that is nearest to the rounded numbers.
 
     Raises:
-        DatasetError: the numbers are not a rotation, or are not finite.
+        DatasetError: the matrix is not a rotation, or numbers are not finite.
     """
     T = rigid(np.reshape(rotation, (3, 3)).astype(float), np.asarray(translation_m, float))
     if not is_rigid(T, tolerance=_ROUNDED):

@@ -1,13 +1,13 @@
-"""Scene from perfect depth: meshes of the objects, and one solid for everything else.
+"""Reconstruction of a scene from perfect depth: meshes of the objects, and a solid for the rest.
 
-The world is the frame of the image's camera, which is assumed to look down at the scene: lamps are
-next to it as in Graycast's default cell. Surfaces outside of objects become the top of a solid with
-sides along the camera's rays down to the neighbouring surface; behind the objects, the top
-continues as a membrane fixed to the known depth around them.
+The world is the frame of the image's camera, which is assumed to look down at the scene, with lamps
+next to it as in Graycast's default cell. Surfaces outside objects become the top of a solid, whose
+sides run along the camera's rays down to the neighbouring surface. Behind the objects, the top
+continues as a membrane that is fixed to the known depth around them.
 
 Leaves out: surfaces that neither the models nor the depth show, such as the back of a bin's wall
-and everything outside the picture; light that passes under an overhang; the gloss of objects that
-bend or have no model: they are matt and look like the picture.
+and everything outside the picture; light that passes under an overhang; and the gloss of objects
+that bend or have no model, which are matt with the colours of the picture.
 """
 
 from collections.abc import Collection, Mapping
@@ -31,21 +31,21 @@ from ..depth_solid import STEP_M, Rounds, from_nearest, smooth_slopes, solid_of,
 from .source import SourceImage
 
 BACKGROUND = "background"
-_NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth nearer to an object than this sum belongs to the object.
+_NEAR_M, _NEAR_SHARE = 2e-3, 2e-3  # Depth within `_NEAR_M + _NEAR_SHARE * z` belongs to an object.
 _MOST_BEHIND = 0.2  # If more of the objects' pixels have depth behind them, the poses are wrong.
-_LEAST_PX = 50  # Fewer pixels of objects do not show whether the poses are right.
+_LEAST_PX = 50  # With fewer pixels of objects, their poses are not checked.
 _FINE_M = 2e-4  # Depth with finer steps needs little smoothing.
 _SLOPE = 6.0  # Neighbours with a steeper slope in depth are not joined.
 _AROUND_PX = 5  # Sides extend to the largest depth in a square of this many pixels.
 _COARSE = 4  # The membrane is computed on blocks of this many pixels.
-_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance that is given to this quantile of the light
+_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # This reflectance is assigned to this quantile of the light.
 _DARKEST, _MOST = 0.03, 0.9
 _GREY = Material(base_color=(0.4, 0.4, 0.4))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Staged:
-    """An image as a scene; `obj_id` has the ids of the scene's labelled parts, in their order."""
+    """An image as a scene; `obj_id` has the object ids of the scene's labelled parts, in order."""
 
     scene: Scene
     layout: Layout
@@ -53,9 +53,9 @@ class Staged:
 
 
 def with_camera(scanner: Scanner, camera: Optics) -> Scanner:
-    """Return the scanner with another camera in the same place and the same lens.
+    """Return the scanner with other intrinsics of its camera, at the same position.
 
-    The focal length in metres stays, so that the pixels have another pitch.
+    The focal length in metres stays the same, so the pixel pitch changes.
     """
     own = scanner.rig.camera
     lens = replace(
@@ -67,7 +67,7 @@ def with_camera(scanner: Scanner, camera: Optics) -> Scanner:
         cx_px=camera.cx_px,
         cy_px=camera.cy_px,
         distortion=camera.distortion,
-        psf_px=own.psf_px * camera.fx_px / own.fx_px,  # A blur is a fixed angle.
+        psf_px=own.psf_px * camera.fx_px / own.fx_px,  # The blur is a fixed angle.
     )
     pitch_m = scanner.sensor.pixel_pitch_m * own.fx_px / camera.fx_px
     return replace(
@@ -85,14 +85,13 @@ def stage(
     unknown_look: Collection[int] = (),
     background: Material | None = None,
 ) -> Staged:
-    """Build the scene of an image, in front of the scanner.
+    """Build the scene of an image in front of the scanner.
 
     Args:
-        parts: parts by the ids of objects; an object without a part has only its surface in the
-            depth.
+        parts: parts by object id; an object without a part becomes part of the background.
         unknown_look: ids of parts without a stated material: they get the mean colour of the
             picture at their pixels.
-        background: material of everything that is no object; None is matt, with the picture's look.
+        background: material of everything except objects; None is matt with the picture's colours.
 
     Raises:
         DatasetError: the depth contradicts the objects, or there is no depth.
@@ -130,7 +129,7 @@ def stage(
 
 
 def _lamps(depth_m: float) -> tuple[Lamp, ...]:
-    """Return the lamps of a cell with its floor at this depth and a camera that looks down."""
+    """Return the lamps of the default cell, with its floor at this depth below the camera."""
     down = np.array([1.0, -1.0, -1.0])
     middle = np.array([0.0, 0.0, depth_m])
 
@@ -147,7 +146,7 @@ def _lamps(depth_m: float) -> tuple[Lamp, ...]:
 def _nearest(
     image: SourceImage, parts: Mapping[int, Part], modelled: Collection[int]
 ) -> tuple[Float[np.ndarray, "h w"], np.ndarray]:
-    """Return depth and instance of the nearest object at each pixel; NaN and -1 without object."""
+    """Return depth [m] and instance of the nearest object at each pixel; NaN and -1 if none."""
     nearest_m = np.full(image.depth_m.shape, np.inf)
     which = np.full(image.depth_m.shape, -1)
     for i in modelled:
@@ -162,9 +161,9 @@ def _nearest(
 def _of_objects(
     depth_m: Float[np.ndarray, "h w"], nearest_m: Float[np.ndarray, "h w"], step_m: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of an object's pixels: their depth agrees with the object, or is unknown."""
+    """Return a mask of the objects' pixels whose depth agrees with the object or is unknown."""
     near_m = _NEAR_M + _NEAR_SHARE * nearest_m + step_m
-    with np.errstate(invalid="ignore"):  # comparisons with NaN are false
+    with np.errstate(invalid="ignore"):  # Comparisons with NaN are false.
         agrees = np.abs(depth_m - nearest_m) < near_m
     return agrees | (np.isnan(depth_m) & np.isfinite(nearest_m))
 
@@ -174,10 +173,10 @@ def _refuse_contradiction(
     nearest_m: Float[np.ndarray, "h w"],
     own: Bool[np.ndarray, "h w"],
 ) -> None:
-    """Refuse depth behind an object; depth in front only means that the object is hidden.
+    """Refuse depth behind objects; depth in front of an object means that the object is hidden.
 
     Raises:
-        DatasetError: depth is behind objects in many pixels.
+        DatasetError: depth is behind the object at many pixels.
     """
     both = np.isfinite(depth_m) & np.isfinite(nearest_m)
     with np.errstate(invalid="ignore"):
@@ -199,12 +198,12 @@ def _background(
     reflectance: Float[np.ndarray, "h w 3"] | None,
     material: Material | None,
 ) -> Part:
-    """Return everything that is not an object, as a solid in the camera's frame."""
+    """Return the surfaces outside the objects as a solid in the camera frame."""
     known = np.isfinite(image.depth_m) & ~own
     depth_m = np.where(known, image.depth_m, np.nan)
     if known.any():
         depth_m = np.where(own, np.fmax(_membrane(depth_m), nearest_m + _NEAR_M), depth_m)
-    else:  # the objects fill the picture: a wall far behind them stops the light
+    else:  # If objects fill the picture, a wall far behind them stops the light.
         depth_m = np.where(own, 2 * np.nanmax(nearest_m), depth_m)
     solid = np.isfinite(depth_m)
     rounds = _rounds(image.step_m)
@@ -234,16 +233,16 @@ def _background(
 
 
 def _rounds(step_m: float) -> Rounds:
-    """Return the rounds of `surfaces`; depth in coarse steps is smoothed over more pixels."""
+    """Return the rounds for `surfaces`; depth with coarse steps is smoothed over more pixels."""
     near_m = 3e-4 + 2 * step_m
     fine: Rounds = ((1, 3, 2 * near_m), (2, 3, near_m))
     return fine if step_m <= _FINE_M else (*fine, (5, 6, near_m), (5, 6, near_m))
 
 
 def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Return depth everywhere: unknown inverse depth is the mean of the inverse depth around it.
+    """Fill gaps in depth by solving Laplace's equation for inverse depth on blocks of pixels.
 
-    So a plane continues as a plane. Laplace's equation is solved on blocks of pixels.
+    With inverse depth, a plane continues as a plane.
     """
     known = np.isfinite(depth_m)
     rows, columns = (-(-size // _COARSE) for size in depth_m.shape)
@@ -267,9 +266,9 @@ def _membrane(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 
 def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> np.ndarray:
-    """Return values of the free blocks, each the mean of its neighbours; the border is mirrored.
+    """Return the values of the free blocks so that each is the mean of its neighbours.
 
-    The Laplacian uses differences between neighbours, of which none crosses the border.
+    The Laplacian has no differences across the border, so the border is a mirror.
     """
     rows, columns = (sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in free.shape)
     laplacian = sparse.kronsum(columns.T @ columns, rows.T @ rows).tocsr()[free.ravel()]
@@ -278,7 +277,7 @@ def _solved(value: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> n
 
 
 def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
-    """Estimate reflectance from a picture's linear values, if the brightest values are white."""
+    """Estimate reflectance from the linear values of a picture whose brightest areas are white."""
     light = linear(rgb)
     white = float(np.quantile(light.max(axis=-1), _WHITE_SHARE))
     return np.clip(light * (_BRIGHTEST / max(white, 1e-3)), _DARKEST, _MOST)
@@ -287,7 +286,7 @@ def reflectance_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"
 def _mean_colors(
     reflectance: Float[np.ndarray, "h w 3"], which: np.ndarray, obj_id: np.ndarray
 ) -> dict[int, tuple[float, float, float]]:
-    """Return the mean reflectance of each visible object in the picture."""
+    """Return the mean reflectance of each visible object, by object id."""
     visible = which >= 0
     of = obj_id[which[visible]]
     color = reflectance[visible]

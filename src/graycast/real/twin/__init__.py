@@ -1,4 +1,4 @@
-"""The twin of a user's scanner: its simulated scans have the statistics of real scans."""
+"""Fit of a simulated scanner whose scans have the statistics of a user's real scans."""
 
 from .making import check_scans, make_twin
 from .twin_files import files_of, summary, write_twin

@@ -1,4 +1,4 @@
-"""The steps from real scans and a cell's configuration to the twin."""
+"""Construction of a twin from real scans and the configuration of a cell."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,16 +30,16 @@ from .searching import Fit, scans_of, search
 from .stage import LitScene, light_scenes, missing_places
 
 LEAST_SCANS = 3
-LEAST_ASIDE = 2  # The classifier learns from scans that the search does not use.
-_SMOOTHEST = 0.1  # A smoother coat reflects the projector in single pixels only.
-_LEAST_JUMPS = 20  # Fewer depth jumps per map do not show which side is in shadow.
-_MOST_SHARE = 0.25  # A side is in shadow if its jumps are at most this share of the other side's.
-COATS = (-ROUGHER, 0.0, ROUGHER)  # The bin is rendered with each of these coats.
+LEAST_ASIDE = 2  # Cross-validation of the classifier leaves out one scan at a time.
+_SMOOTHEST = 0.1  # A smoother coat reflects the projector only in single pixels.
+_LEAST_JUMPS = 20  # Fewer depth steps per map do not show which side is in shadow.
+_MOST_SHARE = 0.25  # On a shadow side, steps are at most this share of the other side's.
+COATS = (-ROUGHER, 0.0, ROUGHER)  # changes of roughness for which the coat is rendered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Twin:
-    """Result of a fit, with pictures and the classifier's judgement.
+    """Result of a fit, with example scans and the classifier's results.
 
     `examples` has a real scan, and scans of its scene by the configured scanner and by the twin.
     `classified` has the tests 'before' and 'after' the search, and on scans 'kept aside' from it.
@@ -65,12 +65,12 @@ def make_twin(
     """Fit the cell's scanner, and the look of its bin, to real scans.
 
     Args:
-        pictures: a colour picture for each scan, or none; see `restage`.
-        aside: number of last scans that the search does not use; they are classified separately.
+        pictures: a colour picture for each scan, or no pictures; see `restage`.
+        aside: The search does not use this many scans at the end; they are classified separately.
 
     Raises:
-        GraycastError: there are too few scans, or they are from another camera than the rig's or
-            not from structured light; pictures do not fit; scikit-learn is not installed.
+        GraycastError: there are too few scans, the scans are from another camera than the rig's or
+            not from structured light, pictures do not fit, or scikit-learn is not installed.
     """
     require_sklearn()
     check_scans(real, cell, aside=aside)
@@ -107,7 +107,7 @@ def make_twin(
         seed=seed,
         progress=progress,
     )
-    other = seed + 100_000  # The judged scans need noise that the search did not see.
+    other = seed + 100_000  # The classified scans need noise that the search did not use.
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
     if aside:
         lit += light(rest, (fit.scanner.named_code(),))
@@ -129,7 +129,7 @@ def make_twin(
 
 
 def check_scans(real: Sequence[DepthScan], cell: Cell, *, aside: int = 0) -> None:
-    """Check that a twin can be made of these scans, `aside` of which are kept aside.
+    """Check that a twin can be made from these scans, the last `aside` of which are not fitted.
 
     Raises:
         GraycastError: a twin cannot be made; the text has the reason and the remedy.
@@ -161,14 +161,14 @@ def check_scans(real: Sequence[DepthScan], cell: Cell, *, aside: int = 0) -> Non
 
 
 def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
-    """Refuse scans without a shadow side, which one camera and one projector always cause.
+    """Refuse scans without a shadow side, because one camera with one projector always causes one.
 
-    Where a near surface hides a far surface from the projector, the far surface has no depth, so
-    valid neighbours never show a drop on the side away from the projector. Stereo cameras, and
-    cameras right next to their light, have equal numbers of jumps on both sides.
+    If a near surface hides a far surface from the projector, the far surface has no depth. So on
+    the side away from the projector, valid neighbours never have a depth step. Stereo cameras, and
+    cameras very close to their light, have equal numbers of depth steps on both sides.
 
     Raises:
-        GraycastError: there is no such side, or the scans have too few jumps to decide.
+        GraycastError: there is no shadow side, or the scans have too few depth steps to decide.
     """
     counts = [count_steps(scan) for scan in scans]
     right, left, below, above = (
@@ -194,9 +194,9 @@ def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
 
 
 def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
-    """Return the declared parameters, except those of the bin's look that cannot be changed.
+    """Return all parameters, except those of the bin's look that do not apply to this bin.
 
-    A texture does not have a single colour, and the gloss of a metal is its colour.
+    A texture does not have a single colour, and the gloss of a metal depends on its colour.
     """
     box = bin_of(cell.scene)
     plain = [m for m in (box.material, box.floor) if m is not None]

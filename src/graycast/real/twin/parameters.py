@@ -1,6 +1,6 @@
 """Parameters of a scanner that are fitted because its user cannot know them.
 
-A new parameter is one line of `PARAMETERS`: its key, its bounds and the scale of its range.
+To add a parameter, add a line to `PARAMETERS` with its key, its bounds and the scale of its range.
 """
 
 import math
@@ -15,26 +15,26 @@ from jaxtyping import Float
 from ...camera.scanner import Scanner
 from ...rig.pattern import CodeSpec
 
-# These keys do not belong to a scanner: they are factors on the bin's colour and its coat's gloss,
-# and an increase of the coat's roughness.
+# These keys do not belong to a scanner. Their values are factors on the bin's colour and gloss, and
+# an addition to its roughness.
 BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS = OF_BIN = (
     "bin.material.base_color",
     "bin.material.specular",
     "bin.material.roughness",
 )
 ROUGHER = 0.15  # largest change of the configured roughness, in both directions
-FULL_WELL = "sensor.full_well_e"  # The gain changes so that a full well keeps its digital number.
+FULL_WELL = "sensor.full_well_e"  # The gain changes with it: a full well keeps its digital number.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
     """One fitted number of a scanner, and its bounds.
 
-    `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
-    the value under which a filter or fault is switched off, and `off_above` the one over which a
-    limit is removed. `laser` is the value that a search found for one laser scanner (a PhoXi) over
-    one plastic bin. It is a start for similar scanners, whose noise comes from the surface and
-    hardly from the light: see docs/measurements/twin.md.
+    `key` is the key in the rig file, with dots; a number in brackets is the index in a list. Values
+    below `off_below` switch a filter or fault off, and values above `off_above` remove a limit.
+    `laser` is the fitted value for one laser scanner (a PhoXi) over one plastic bin. It is a start
+    point for similar scanners, whose noise comes mainly from speckle on the surface: see
+    docs/measurements/twin.md.
     """
 
     key: str
@@ -46,7 +46,7 @@ class Parameter:
     off_above: float | None = None
 
     def value(self, share: float) -> float:
-        """Return the value at a share, 0 to 1, of the way from low to high."""
+        """Return the value at a position from 0 (low) to 1 (high) of the range."""
         share = min(max(share, 0.0), 1.0)
         if self.walk == "log":
             value = math.exp(math.log(self.low) + share * math.log(self.high / self.low))
@@ -55,7 +55,7 @@ class Parameter:
         return float(f"{value:.4g}")
 
     def share(self, value: float) -> float:
-        """Return the position of a value between low and high, 0 to 1, clipped to this range."""
+        """Return the position of a value in the range, from 0 (low) to 1 (high), clipped."""
         value = min(max(value, self.low), self.high)
         if self.walk == "log":
             return math.log(value / self.low) / math.log(self.high / self.low)
@@ -86,7 +86,7 @@ PARAMETERS: tuple[Parameter, ...] = (
 
 
 def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
-    """Return the configured code and finer ones, because depth maps do not reveal the code."""
+    """Return the configured code and finer codes, because depth maps do not reveal the code."""
     if code.codec != "gray_phase":
         return (code,)
     own = code.period_px or math.inf
@@ -97,7 +97,7 @@ def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
 def with_values(
     scanner: Scanner, parameters: Sequence[Parameter], values: Mapping[str, float]
 ) -> Scanner:
-    """Return the scanner with the given values instead of its own."""
+    """Return the scanner with new values of the parameters; keys of the bin are ignored."""
     for parameter in parameters:
         if parameter.key not in OF_BIN:
             value: Any = values[parameter.key]
@@ -112,7 +112,7 @@ def with_values(
 
 
 def value_of(scanner: Scanner, parameter: Parameter) -> float:
-    """Return the scanner's value of a parameter, or the bound that means off if there is none."""
+    """Return the scanner's value of a parameter; if it is None, the bound that switches it off."""
     if parameter.key in OF_BIN:
         return 0.0 if parameter.key == BIN_ROUGHNESS else 1.0
     value: Any = scanner
@@ -127,7 +127,7 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
 
 
 def shares_of(scanner: Scanner, parameters: Sequence[Parameter]) -> Float[np.ndarray, " n"]:
-    """Return the scanner's values as shares, 0 to 1, of the way between their bounds."""
+    """Return the scanner's values as positions from 0 (low) to 1 (high) between their bounds."""
     return np.array([p.share(value_of(scanner, p)) for p in parameters])
 
 
@@ -136,7 +136,7 @@ def values_at(shares: Float[np.ndarray, " n"], parameters: Sequence[Parameter]) 
 
 
 def _path(key: str) -> list[str]:
-    """Return the path of a key; the rig's own keys are at the top of a rig file."""
+    """Return the attribute path of a key; keys at the top of a rig file may belong to the rig."""
     path = re.findall(r"\w+", key)
     return path if hasattr(Scanner, path[0]) else ["rig", *path]
 

@@ -1,12 +1,12 @@
-"""Staging of a real scan's scene: a solid in the bin's mesh, with the picture on its top.
+"""Reconstruction of a real scan's scene: a textured solid in the mesh of the bin.
 
-Surfaces that a scan measured in front of the bin become one solid. Its top is the measured surface
-without noise, and its sides run along the camera's rays down to the bin, so that the camera does
-not see the sides and no light passes below the surface. A simulated scan of this scene shows the
+The surfaces that a scan measured in front of the bin become one solid. Its top is the measured
+surface without noise. Its sides run along the camera's rays down to the bin, so that the camera
+does not see them and no light passes below the surface. A simulated scan of this scene shows the
 same surfaces at the same pixels as the real scan, so that all differences come from the sensor.
 
-Leaves out: surfaces that the scan lost, except in small gaps; light that passes under an overhang;
-objects thinner than `_THIN_M`; other materials than matt plastic or paper.
+Leaves out: surfaces without depth in the scan, except in small gaps; light that passes under an
+overhang; objects thinner than `_THIN_M`; materials other than matt plastic or paper.
 """
 
 from collections.abc import Sequence
@@ -26,17 +26,17 @@ from ..depth_solid import Planes, Rounds, from_nearest, solid_of, surfaces
 from ..realism import DepthScan
 
 _THIN_M = 1.5e-3  # least height of an object above the bin; errors of mesh and depth are smaller
-_LEAST_BIN = 0.05  # If less of all depth is near the bin, the pose is wrong.
+_LEAST_BIN = 0.05  # If a smaller share of all depth is near the bin, the pose is wrong.
 _LEAST_PX = 30  # Objects have at least this many pixels; mirror images in glossy walls have fewer.
 _MOST_GAP_PX = 60  # Gaps up to this size are filled from the surface around them.
-_BENT_M = 4e-3  # A gap is filled only if the surface around it is this flat.
+_BENT_M = 4e-3  # largest deviation from a plane around a gap that is filled
 _LEAST_AROUND = 0.8  # This share of the pixels around a gap must have a surface.
 _MOST_COVERED = 0.95  # largest share of a neighbouring pixel that an object covers
-_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance that is given to this quantile of the light
+_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # This reflectance is assigned to this quantile of the light.
 _DARKEST = 0.03  # Black print and plastic reflect about as much.
 _GREY = 0.5  # reflectance of a part without a picture
 _ROUGHNESS = 0.5
-# A gap of 0.6 mm is three times the noise of dark plastic.
+# The last distance, 0.6 mm, is three times the noise of dark plastic.
 _ROUNDS: Rounds = ((1, 3, 3e-3), (2, 3, 1.2e-3), (3, 6, 0.8e-3), (5, 6, 0.6e-3), (5, 6, 0.6e-3))
 
 
@@ -45,17 +45,17 @@ def restage(
     scene: Scene,
     pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]] = (),
 ) -> tuple[Scene, ...]:
-    """Stage the scene of each scan: `scene` with its bin, camera and light, and one solid part.
+    """Reconstruct the scene of each scan: `scene` with its bin, camera and light, and a solid part.
 
-    The part's vertices are in the world frame. The scene of an empty bin has no part.
+    The vertices of the part are in the world frame. The scene of an empty bin has no part.
 
     Args:
         pictures: 8-bit sRGB pictures of the same views as the depth maps, with as many pixels or
             more; without pictures, parts are grey. The brightest surfaces are assumed to be white.
 
     Raises:
-        GraycastError: number or shape of the pictures do not match the scans, or the depth of the
-            scans hardly shows the bin.
+        GraycastError: the number or shape of the pictures does not match the scans, or too little
+            depth of the scans is near the bin.
     """
     camera, mesh = scene.rig.camera, bin_mesh(bin_of(scene))
     bin_m = visible_surface(scene.T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
@@ -79,22 +79,22 @@ def restage(
 
 
 def layout_of(staged: Scene) -> Layout:
-    """Return the layout of the solid in a scene of `restage`."""
+    """Return the layout of a scene from `restage`: its part, if any, at the world's origin."""
     if not staged.parts:
         return EMPTY_LAYOUT
     return Layout(T_world_part=np.eye(4)[None], part_index=np.zeros(1, dtype=np.int64))
 
 
 def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"]) -> None:
-    """Refuse scans that hardly show the bin: with a wrong pose, all would look like a part.
+    """Refuse scans with little depth near the bin: with a wrong pose, the bin becomes a part.
 
     Raises:
-        GraycastError: hardly any depth of the scans is near the bin.
+        GraycastError: too little depth of the scans is near the bin.
     """
     near = known = 0
     for scan in scans:
         known += int(scan.valid.sum())
-        with np.errstate(invalid="ignore"):  # comparisons with NaN are false
+        with np.errstate(invalid="ignore"):  # Comparisons with NaN are false.
             near += int((np.abs(scan.depth_m - bin_m) < _THIN_M).sum())
     if near < _LEAST_BIN * known:
         raise GraycastError(
@@ -108,16 +108,16 @@ def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"
 def standing_before(
     depth_m: Float[np.ndarray, "h w"], bin_m: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the pixels with depth in front of the bin or outside of it.
+    """Return a mask of the pixels with depth in front of the bin or outside it.
 
     Args:
-        depth_m: measured depth; NaN where there is none.
-        bin_m: depth of the empty bin; NaN outside of it.
+        depth_m: measured depth; NaN where it is missing.
+        bin_m: depth of the empty bin; NaN outside the bin.
     """
     known = np.isfinite(depth_m)
     both = known & np.isfinite(bin_m)
     before_m = np.where(both, bin_m - depth_m, 0.0)
-    # A mean over 3 x 3 pixels reduces noise, but must not add the bin beside a high object.
+    # A mean over 3 x 3 pixels reduces noise. Clipping limits the effect of high objects on it.
     mean_m = _mean(np.clip(before_m, -3 * _THIN_M, 3 * _THIN_M), both, 3)
     before = (mean_m > _THIN_M) & (before_m > _THIN_M / 2)
     label, _ = ndimage.label(known & (before | ~np.isfinite(bin_m)))
@@ -130,7 +130,7 @@ def standing_before(
 
 
 def _without_gaps(planes: Planes, known: Bool[np.ndarray, "h w"]) -> Planes:
-    """Fill small gaps of the scan with the plane around them, if one plane fits there."""
+    """Fill small gaps of the scan with the plane that fits the surface around them, if one fits."""
     filled = planes.copy()
     label, _ = ndimage.label(~known)
     reach = 2
@@ -158,7 +158,7 @@ def _without_gaps(planes: Planes, known: Bool[np.ndarray, "h w"]) -> Planes:
 def _mean(
     value: Float[np.ndarray, "h w"], counts: Bool[np.ndarray, "h w"], size_px: int
 ) -> Float[np.ndarray, "h w"]:
-    """Return the mean over a square of the pixels that count; 0 where no pixel counts."""
+    """Return the moving average over the pixels in `counts`; 0 if the square has no such pixel."""
     share = ndimage.uniform_filter(counts.astype(np.float64), size_px)
     total = ndimage.uniform_filter(np.where(counts, value, 0.0), size_px)
     return np.where(share > 1e-6, total / np.maximum(share, 1e-6), 0.0)
@@ -172,10 +172,10 @@ def _covered(
 ) -> Float[np.ndarray, "h w 4"]:
     """Return the share of each neighbour without depth (left, right, up, down) that is covered.
 
-    A scanner loses a pixel that sees two surfaces if both send about the same light to the pixel.
-    So in a gap of one or two pixels, the edge is where their light is equal: a bright surface
-    covers little of a pixel that it shares with a dark one. In a wider gap, the far surface is in
-    shadow and the edge may be anywhere: half of the pixel is covered.
+    A pixel that sees two surfaces has no depth if both send about equal light to the pixel. So in
+    a gap of one or two pixels, the edge is assumed to divide the pixel so that their light is
+    equal: a bright surface covers little of a pixel that it shares with a dark surface. In a wider
+    gap, the far surface is in shadow, and the edge is assumed to be in the middle of the pixel.
     """
     covered = np.zeros((*known.shape, 4))
     for side, (axis, step) in enumerate(((1, -1), (1, 1), (0, -1), (0, 1))):
@@ -188,14 +188,14 @@ def _covered(
 
 
 def _shifted(image: np.ndarray, axis: int, step: int) -> np.ndarray:
-    """Return an image shifted along an axis, with the border's pixels repeated."""
+    """Return an image shifted along an axis, with the pixels at its border repeated."""
     return np.take(image, np.arange(image.shape[axis]) + step, axis=axis, mode="clip")
 
 
 def _brightness(
     texture: UInt8[np.ndarray, "_ _ 3"] | None, scene: Scene, shape: tuple[int, int]
 ) -> Float[np.ndarray, "h w"]:
-    """Return the reflectance in the projector's light at each pixel; uniform without a picture."""
+    """Return each pixel's reflectance in the projector's light; 1 without a picture."""
     if texture is None:
         return np.ones(shape)
     return linear(_at_depth(texture, shape)) @ np.array(scene.rig.band_weights)
@@ -209,10 +209,10 @@ def _textures(
     solid: Sequence[Bool[np.ndarray, "h w"]],
     pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]],
 ) -> tuple[UInt8[np.ndarray, "_ _ 3"] | None, ...]:
-    """Return the pictures as reflectances in sRGB, scaled so that their brightest areas are white.
+    """Return the pictures as sRGB reflectances, scaled so that the brightest surfaces are white.
 
     Raises:
-        GraycastError: number or shape of the pictures do not match the scans.
+        GraycastError: the number or shape of the pictures does not match the scans.
     """
     if not pictures:
         return (None,) * len(scans)
@@ -233,7 +233,7 @@ def _textures(
                 "shape and as many pixels or more"
             )
         value = linear(picture)
-        # A picture mapped onto the depth is black where colour is missing: use the nearest colour.
+        # A picture mapped onto depth is black where colour is missing; fill in the nearest colour.
         black = ndimage.binary_dilation(picture.max(axis=-1) <= 2, np.ones((3, 3), dtype=bool))
         if not black.all():
             value = from_nearest(value, black)
@@ -246,7 +246,7 @@ def _textures(
 
 
 def _at_depth(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a finer picture of the same view, sampled at each pixel of the depth."""
+    """Sample a picture of the same view at each pixel of the depth map."""
     height, width = shape
     rows = np.arange(height) * image.shape[0] // height
     return image[np.ix_(rows, np.arange(width) * image.shape[1] // width)]

@@ -1,4 +1,4 @@
-"""The statistics that a twin should share with the real scans: rows with a number per scan.
+"""The statistics that a twin should share with real scans; each row has one number per scan.
 
 The twin scans the scenes of the real scans, so every difference is due to the sensor.
 """
@@ -23,15 +23,15 @@ from ..realism.patches import (
 )
 from ..realism.scan import tiles
 
-Places = Mapping[str, Bool[np.ndarray, "h w"]]  # For each of `PLACES`: where missing depth counts
-_SIGMAS = 2.0  # A row agrees within this many standard deviations of the real mean.
-_LEAST_SPREAD = 0.05  # share of the mean, because few scans determine a spread badly
+Places = Mapping[str, Bool[np.ndarray, "h w"]]  # masks by `PLACES`: pixels for missing depth
+_SIGMAS = 2.0  # A row is met within this many standard deviations of the real mean.
+_LEAST_SPREAD = 0.05  # least spread as a share of the mean, because few scans may agree by chance
 _LEAST_KNOWN = 0.7  # This share of a square's differences must be known.
 _LEAST_SQUARES, _LEAST_TILES, _LEAST_ON_FLOOR = 5, 20, 500  # With fewer, scans differ by chance.
 _SMOOTH_M = 5e-4  # A square with a larger scatter of differences is not a smooth surface.
 PLACES = ("visible", "left", "right", "upper", "lower", "blind")
-_UNKNOWN_Z = 5.0  # deviation that counts for a row without a value in the twin's scans
-_FAR_Z = 3.0  # Larger deviations count by their logarithm.
+_UNKNOWN_Z = 5.0  # assumed deviation [spreads] of a row without a value in the twin's scans
+_FAR_Z = 3.0  # Larger deviations [spreads] grow only logarithmically.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class Row:
 class Figures:
     """The statistics of a set of scans: a number per scan, NaN if it is unknown.
 
-    `places` has masks of the pixels in which missing depth was counted; empty means everywhere.
+    `places` has masks of the pixels at which missing depth was counted; empty means all pixels.
     """
 
     value: Mapping[str, Float[np.ndarray, " scans"]]
@@ -75,11 +75,11 @@ def figures_of(
     floor: Float[np.ndarray, "3"] | None,
     places: Places | None = None,
 ) -> Figures:
-    """Return the statistics of each scan, computed while the next scan is made.
+    """Return the statistics of each scan, computed while the iterator makes the next scan.
 
     Args:
-        floor: the plane of `find_floor`, or None.
-        places: from `missing_places`, or none.
+        floor: the plane from `find_floor`, or None.
+        places: the masks from `missing_places`; None counts missing depth at all pixels.
     """
     with ThreadPoolExecutor(max_workers=1) as pool:
         each = list(pool.map(lambda scan: _one(scan, floor, places or {}), scans))
@@ -88,7 +88,7 @@ def figures_of(
 
 
 def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
-    """Compare row by row; leave out rows that are unknown for the real scans."""
+    """Return a row for each statistic that is known for the real scans."""
     rows = []
     for name, (unit, least) in ROWS.items():
         known, own = (f.value[name][~np.isnan(f.value[name])] for f in (real, twin))
@@ -103,10 +103,10 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
 
 
 def pulls_of(rows: Sequence[Row]) -> Float[np.ndarray, " n"]:
-    """Return each row's deviation in spreads; large ones are compressed logarithmically.
+    """Return the deviation of each row in spreads; large deviations are compressed.
 
-    A few rows that no twin meets must not dominate, but a fixed bound would hide the direction that
-    improves these rows: the search would stop while many rows are far off.
+    A few rows that no twin meets must not dominate. A fixed bound would make their derivative zero,
+    and the search would stop while many rows are far off; so they grow logarithmically.
     """
     off = np.array([row.off for row in rows])
     return _FAR_Z * np.arcsinh(off / _FAR_Z)
@@ -173,12 +173,12 @@ def _one(
 
 
 def _percentile(sigma_mm: Float[np.ndarray, " n"], share: int) -> float:
-    """Return a percentile; NaN if there are too few tiles."""
+    """Return a percentile; NaN if there are fewer than `_LEAST_TILES` values."""
     return float(np.percentile(sigma_mm, share)) if len(sigma_mm) >= _LEAST_TILES else np.nan
 
 
 def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
-    """Return the fine noise [mm] and the share of holes [%] of the bare floor."""
+    """Return the fine noise [mm] and the share of holes [%] of the visible floor."""
     if floor is None:
         return [float("nan")] * 2
     plane_m = depth_of_floor(floor, *map(slice, scan.depth_m.shape))
@@ -191,15 +191,16 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
 
 
 def _texture(scan: DepthScan) -> list[float]:
-    """Return the excess of noise along rows and columns over the fine noise [%], and line noise.
+    """Return the excess of noise along x and y over the fine noise [%], and the line noise.
 
-    The results are medians over squares of smooth surfaces, because a classifier judges squares.
+    Line noise is the correlation between neighbouring lines. The results are medians over squares
+    on smooth surfaces, because the classifier also uses squares.
     """
     z_m = tiles(scan.depth_m, SQUARE_PX)
     mixed = second_difference(z_m)
     known = (~np.isnan(mixed)).mean(axis=(1, 2)) >= _LEAST_KNOWN
     z_m, fine_m = z_m[known], robust_sigma(mixed[known], axis=(1, 2))
-    smooth = (fine_m > 0) & (fine_m < _SMOOTH_M)  # depth without any noise has no texture
+    smooth = (fine_m > 0) & (fine_m < _SMOOTH_M)  # Without any noise, ratios to it are undefined.
     if smooth.sum() < _LEAST_SQUARES:
         return [float("nan")] * 4
     z_m, fine_m = z_m[smooth], fine_m[smooth]

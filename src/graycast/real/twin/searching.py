@@ -1,15 +1,15 @@
-"""Search for the values with which a cell's simulated scans have the real scans' statistics.
+"""Search for the parameters with which simulated scans have the statistics of real scans.
 
-Light is rendered once for each code, so a trial is only exposure, noise, decoding, filters and
-faults. The noise is the same in every trial, so that searches are reproducible. A code is not a
-number, so each candidate has its own search: it begins at the best of some places and continues
-with damped Gauss-Newton steps, because the loss is a sum of squares. If the steps end before the
-code's share of the trials is used up, new steps begin at the next best place. The best code gets
-the remaining trials.
+Light is rendered once for each code, so a trial consists only of exposure, noise, decoding, filters
+and faults. All trials have the same noise, so that searches are reproducible. Each candidate code
+has its own search: it begins at the best of some start points and continues with damped
+Gauss-Newton steps, because the loss is a mean of squares. If the steps end before the code's share
+of the trials is used up, new steps begin at the next best start point. The best code gets the
+remaining trials.
 
 Sources: K. Levenberg, "A method for the solution of certain non-linear problems in least squares",
 1944 (damping); C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations",
-1965 (slopes that each step corrects).
+1965 (correction of the Jacobian in each step).
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,17 +37,17 @@ from .rows import Figures, Row, compare, figures_of, loss_of, pulls_of
 from .stage import BinLook, LitScene, scan_lit
 
 _DARK_LOSS = 1e3  # loss of a scanner that measures no depth
-_LEVER = 0.1  # Slopes use this share of a range; shorter steps give mostly noise.
+_LEVER = 0.1  # finite difference as a share of a range; shorter steps give mostly noise
 _STARTS = 16  # number of start points that are spread over the ranges
-# First damping of steps [spreads^2 per range^2]; number of failed steps before slopes are computed
-# again; and the shortest step.
+# First damping of steps [spreads^2 per range^2]; number of failed steps before the Jacobian is
+# computed again; and the shortest step.
 _DAMPING, _MOST_FAILED, _LEAST_WAY = 10.0, 4, 1e-3
-_LEAST_PIXELS = 1000  # A scan without more valid pixels is not used.
+_LEAST_PIXELS = 1000  # A scan is used if it has more valid pixels.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A parameter's value, and the limits within which it remains uncertain (`reach_of`)."""
+    """The fitted value of a parameter with its interval of uncertainty (see `reach_of`)."""
 
     parameter: Parameter
     value: float
@@ -57,7 +57,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """Result of a search: the scanner, its parameters, and its rows before and after."""
+    """Result of a search: scanner, parameters, and statistics before and after the search."""
 
     scanner: Scanner
     estimates: tuple[Estimate, ...]
@@ -73,7 +73,7 @@ class Fit:
 
     @property
     def loss(self) -> float:
-        """The twin's misfit; infinite if nothing is lit."""
+        """Loss of the twin; infinite if its scans have no depth."""
         return loss_of(self.after) if self.after else float("inf")
 
 
@@ -88,9 +88,9 @@ def search(
     seed: int,
     progress: ProgressMeter = UNWATCHED,
 ) -> Fit:
-    """Search for the best scanner, with about `trials` trials.
+    """Search for the best scanner with about `trials` trials.
 
-    The first trials are at the start, at the laser scanner of `PARAMETERS`, and at points of a
+    The start points are the scanner `start`, the laser scanner of `PARAMETERS`, and points of a
     Sobol sequence over all ranges.
     """
     run = _Trials(start, lit, parameters, real, seed, trials, progress)
@@ -129,7 +129,7 @@ def search(
 def scans_of(
     lit: Sequence[LitScene], scanner: Scanner, values: dict[str, float], *, seed: int, name: str
 ) -> Iterator[DepthScan]:
-    """Yield the scanner's scans of the scenes, without those that have too little depth."""
+    """Yield the scanner's scans of the scenes, except scans with too little depth."""
     look = BinLook(
         color=values.get(BIN_COLOR, 1.0),
         gloss=values.get(BIN_GLOSS, 1.0),
@@ -142,14 +142,15 @@ def scans_of(
 
 
 def reach_of(slopes: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " n"]:
-    """Return the half-width of each parameter's interval if the other parameters are refitted.
+    """Return the half-width of each parameter's interval when all parameters are uncertain.
 
-    It is two standard deviations of the marginal distribution, if each row is normal around the
-    real row with one spread and linear in the parameters, and each parameter is uniform in its
-    range (variance 1/12). A parameter that changes no row has a half-width of `2 sqrt(1/12)`.
+    It is two standard deviations of the marginal posterior distribution. Rows are assumed to be
+    linear in the parameters, with normal errors of one spread. The prior of a parameter has the
+    variance of a uniform distribution over its range, 1/12. A parameter that changes no row has a
+    half-width of `2 sqrt(1/12)`.
 
     Args:
-        slopes: derivative of each row [spreads] by each parameter, whose range has length 1.
+        slopes: derivative of each row [spreads] by each parameter, in units of its range.
     """
     precision = slopes.T @ slopes + 12 * np.eye(slopes.shape[1])
     return 2 * np.sqrt(np.diag(np.linalg.inv(precision)))
@@ -157,7 +158,7 @@ def reach_of(slopes: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " n"]:
 
 @dataclass
 class _Trials:
-    """Maker of trials, which counts and reports them."""
+    """The trials of a search, with a cache of their results and reports of progress."""
 
     start: Scanner
     lit: Sequence[LitScene]
@@ -168,7 +169,7 @@ class _Trials:
     progress: ProgressMeter
 
     def __post_init__(self) -> None:
-        # All trials share their noise, so a repeated place costs no trial.
+        # All trials have the same noise, so a point is never tried twice.
         self.tried: dict[CodeSpec, dict[bytes, tuple[float, tuple[Row, ...]]]] = {}
         self.floor = find_floor([one.truth.depth_m for one in self.lit])
 
@@ -178,7 +179,7 @@ class _Trials:
         return sum(len(places) for places in self.tried.values())
 
     def rows(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> tuple[Row, ...]:
-        """Return the rows at a place; no rows if nothing is lit."""
+        """Return the rows at a point x; no rows if no scan has enough depth."""
         values = values_at(x, self.parameters)
         scanner = replace(with_values(self.start, self.parameters, values), code=code)
         scans = scans_of(self.lit, scanner, values, seed=self.seed, name="twin")
@@ -186,7 +187,7 @@ class _Trials:
         return compare(self.real, figures) if figures.scans else ()
 
     def judge(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> tuple[float, tuple[Row, ...]]:
-        """Make a trial, unless it was made before, and return its loss and its rows."""
+        """Return loss and rows of a trial, which is made unless the cache has its result."""
         tried = self.tried.setdefault(code, {})
         if x.tobytes() not in tried:
             rows = self.rows(code, x)
@@ -197,7 +198,7 @@ class _Trials:
         return tried[x.tobytes()]
 
     def best(self, code: CodeSpec) -> tuple[float, Float[np.ndarray, " n"]]:
-        """Return the lowest loss of a code's trials, and the place of that trial."""
+        """Return the lowest loss of a code's trials, and the point of that trial."""
         tried = self.tried[code]
         at = min(tried, key=lambda place: tried[place][0])
         return tried[at][0], np.frombuffer(at)
@@ -205,17 +206,17 @@ class _Trials:
     def ranked(
         self, code: CodeSpec, starts: Sequence[Float[np.ndarray, " n"]]
     ) -> list[Float[np.ndarray, " n"]]:
-        """Return the places in the order of their losses, lowest first."""
+        """Return start points sorted by their losses, lowest first."""
         return sorted(starts, key=lambda x: self.judge(code, x)[0])
 
     def pulls(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
-        """Return the residuals that the steps minimise: the deviation of each row."""
+        """Return the residuals of the least-squares problem: the deviation of each row."""
         _, rows = self.judge(code, x)
         known = sum(bool(np.isfinite(value).any()) for value in self.real.value.values())
         return pulls_of(rows) if rows else np.full(known, np.sqrt(_DARK_LOSS))
 
     def slopes(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows n"]:
-        """Return each row's slope by each parameter, from one trial per parameter."""
+        """Return the Jacobian of the residuals by finite differences: a trial per parameter."""
         here, columns = self.pulls(code, x), []
         for i, share in enumerate(x):
             lever = _LEVER if share + _LEVER <= 1 else -_LEVER
@@ -225,10 +226,10 @@ class _Trials:
         return np.stack(columns, axis=1)
 
     def descend(self, code: CodeSpec, x: Float[np.ndarray, " n"], trials: int) -> None:
-        """Take steps from a place until `trials` are used up or no step improves the loss.
+        """Take steps from a point until `trials` are used up or no step improves the loss.
 
-        Slopes cost a trial for each parameter, so each step's result corrects them. After some
-        successive steps without improvement, slopes are measured again.
+        A Jacobian costs one trial per parameter, so each step only corrects it (Broyden). After
+        some successive steps without improvement, it is computed again.
         """
         last = self.done + trials
         while self.done + len(x) < last:

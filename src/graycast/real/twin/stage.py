@@ -1,4 +1,4 @@
-"""Lit scenes of a cell, rendered once and reused for all codes in the search for a twin."""
+"""Scenes of a cell whose light is rendered once and reused in all trials of a search."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from ...world.scene import Scene, bin_of
 from ..realism import DepthScan
 from .restaging import layout_of
 
-_STEEP, _STEP = 0.6, 10.0  # tangents of the camera's angle of incidence
+_STEEP, _STEP = 0.6, 10.0  # least depth gradients [m/m] of a steep side and of a depth step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,9 +38,9 @@ class BinLook:
 class LitScene:
     """One scene's light for each code, and a mask of the pixels that show the bin.
 
-    `coats` has the light of a bin without colour, only with its coat; the keys are additions to the
-    coat's configured roughness, and it is empty if the bin has no coat. `corner_share` is
-    `optics.corner_share` of the projector at each pixel's point; `falloff` is the projector's.
+    `coats` has the light of a black bin, which reflects only by its coat, for each addition to the
+    configured roughness; it is empty if the gloss is not fitted. `corner_share` is the result of
+    `in_projector_corner`, and `falloff` is the projector's.
     """
 
     radiance: dict[CodeSpec, Radiance]
@@ -62,11 +62,11 @@ def light_scenes(
     names: Sequence[str],
     progress: ProgressMeter,
 ) -> tuple[LitScene, ...]:
-    """Render each scene of `restage`, all codes in one pass, and again with a black bin.
+    """Render each scene from `restage` with the patterns of all codes, and again with black bins.
 
     Args:
-        rougher: additions to the black bins' roughness; a bin without gloss needs no additions.
-        names: names of the scenes, for the progress.
+        rougher: additions to the roughness of black bins; empty renders no black bin.
+        names: names of the scenes, for the progress report.
     """
     rig = cell.scanner.rig
     light_codes = [replace(cell.scanner, code=code).light_code() for code in codes]
@@ -113,14 +113,14 @@ def light_scenes(
 
 
 def in_projector_corner(rig: Rig, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Return `optics.corner_share` of each pixel's point in the projector; 0 without depth."""
+    """Return `optics.corner_share` at the projector pixel of each camera pixel; 0 without depth."""
     point = transform_points(inverse(rig.T_cam_proj), points(rig.camera, depth_m))
     share = corner_share(rig.projector, project(rig.projector, point))
     return np.nan_to_num(np.minimum(share, 1.0)).astype(np.float32)
 
 
 def with_black_bin(scene: Scene, rougher: float) -> Scene:
-    """Return the scene with a black bin that keeps its gloss and has `rougher` more roughness."""
+    """Return the scene with a black bin of the same gloss, whose roughness is `rougher` higher."""
     box = bin_of(scene)
     black = {
         name: replace(
@@ -140,20 +140,20 @@ def missing_places(
 ) -> dict[str, Bool[np.ndarray, "h w"]]:
     """Return masks in which missing depth is counted: visible pixels, steep sides, blind pixels.
 
-    `visible` has the pixels at which any real scan has depth, and `blind` the bin's pixels at which
-    no real scan has depth, because there is too little light. Of the sides, only the visible part
-    counts, because a bin differs from its model, and its rim may hide a wall. The sides are named
-    by their place in the picture. They are steep in the farthest depth that any scene has at a
-    pixel, so that parts hide little. All scenes must have the same camera and the same bin.
+    `visible` has the pixels at which any real scan has depth. `blind` has the pixels of the bin at
+    which no real scan has depth, for example because of too little light. The sides are named by
+    their position in the picture. They have only visible pixels, because a bin differs from its
+    model and its rim may hide a wall. Their slope is that of the farthest depth over all scenes,
+    so that parts hide little of them. All scenes must have the same camera and the same bin.
     """
     visible = np.any([scan.valid for scan in real], axis=0)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # all NaN where no scene shows the bin
+        warnings.simplefilter("ignore", RuntimeWarning)  # Where no scene shows the bin, all is NaN.
         far_m = np.nanmax([np.where(one.is_bin, one.truth.depth_m, np.nan) for one in lit], axis=0)
     K = lit[0].truth.K
     down, right = np.gradient(far_m)
     across, along = right * K[0, 0] / far_m, down * K[1, 1] / far_m
-    with np.errstate(invalid="ignore"):  # comparisons with NaN are false
+    with np.errstate(invalid="ignore"):  # Comparisons with NaN are false.
         steep = (np.hypot(across, along) > _STEEP) & (np.hypot(across, along) < _STEP) & visible
         sideways = np.abs(across) > np.abs(along)
         return {
@@ -169,13 +169,13 @@ def missing_places(
 def scan_lit(
     lit: LitScene, scanner: Scanner, look: BinLook, *, seed: int, name: str
 ) -> DepthScan | None:
-    """Scan a scene whose bin has another look; return None if nothing is lit.
+    """Scan a scene whose bin has another look; return None if no pixel is lit.
 
     All light from the bin's pixels is scaled, direct and indirect, but not the light that the bin
-    sends to the parts. That is correct while the bin is dark. Gloss is assumed to be proportional
-    to the coat's reflectance at normal incidence, which is wrong at grazing incidence, and the
-    light under the coat is assumed not to depend on the coat: with half of the coat, 6 % of the
-    light are missing. Between rendered coats, light is interpolated linearly over the roughness.
+    sends to the parts. This is a good approximation for a dark bin. Gloss is assumed to be
+    proportional to the coat's reflectance at normal incidence, which is wrong at grazing incidence.
+    Light under the coat is assumed not to depend on the coat: with half of the coat, 6 % of the
+    light is missing. Between rendered coats, light is interpolated linearly over the roughness.
     The projector's falloff at a pixel's own point dims all its light, even from other surfaces.
     """
     radiance = lit.radiance[scanner.named_code()]
@@ -213,19 +213,19 @@ def _with_look(
     is_bin: Bool[np.ndarray, "h w"],
     look: BinLook,
 ) -> Float[np.ndarray, "*n h w"]:
-    """Scale the light at the bin's pixels: one factor for the base, weights for the coats."""
+    """Scale the light at the bin's pixels by a factor, and add the weighted light of the coats."""
     weight = _weights(sorted(coats), look)
     scaled = np.float32(look.color) * light
     for more, share in weight.items():
         if share:
             scaled += np.float32(share) * coats[more]
     if coats:
-        np.maximum(scaled, 0, out=scaled)  # Independent noise may make a value negative.
+        np.maximum(scaled, 0, out=scaled)  # Noise of the renderings may make values negative.
     return np.where(is_bin, scaled, light)
 
 
 def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
-    """Return the weight of each coat: its weight in the look, minus the one in the light."""
+    """Return the weight of each coat: its share of the new look minus its share in scaled light."""
     return {
         more: look.gloss * float(np.interp(look.rougher, rougher, own))
         - look.color * float(np.interp(0.0, rougher, own))
@@ -234,7 +234,7 @@ def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
 
 
 def _bin_pixels(scene: Scene, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the pixels without a part and within the bin's outline."""
+    """Return a mask of the pixels that show no part and are within the bin's outline."""
     point_cam = points(scene.rig.camera, truth.depth_m).reshape(-1, 3)
     point = transform_points(scene.T_world_cam, point_cam)
     box = bin_of(scene)

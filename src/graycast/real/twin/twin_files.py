@@ -1,4 +1,4 @@
-"""The twin's files: a configuration, its rig, and a report with a picture."""
+"""Files of a twin: a configuration, its rig, and a report with a picture."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -57,7 +57,7 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
 
 
 def report_text(twin: Twin) -> str:
-    """Return tables in Markdown: statistics, parameters, codes, and the classifier's judgement."""
+    """Return the report in Markdown: statistics, parameters, codes and the classifier's results."""
     fit = twin.fit
     lines = [
         "# The twin's report",
@@ -115,7 +115,7 @@ def summary(twin: Twin) -> list[str]:
 
 
 def draw_twin(twin: Twin, path: Path) -> None:
-    """Draw a real, a configured and a twin scan side by side, and each statistic's misfit below."""
+    """Draw a real scan and its two simulations, and below them the deviation of each statistic."""
     figure = Figure(figsize=(15, 11), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=[1, 1.2])
     known = np.concatenate([s.depth_m[s.valid] for s in twin.examples])
@@ -164,7 +164,7 @@ def _mean(auc: Mapping[str, Auc], place: str) -> str:
 
 
 def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
-    """Return the bin's section with the fitted colours and coat; nothing without such a fit."""
+    """Return the bin's section with fitted colours and gloss; empty if colours are not fitted."""
     color, gloss = (fit.values.get(key) for key in (BIN_COLOR, BIN_GLOSS))
     if color is None:
         return {}
@@ -183,5 +183,5 @@ def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
 
 
 def _scaled(reflectance: float, factor: float) -> float:
-    """Return a reflectance scaled by a factor, up to the highest that a surface can have."""
+    """Return a reflectance times a factor, at most `_BRIGHTEST`."""
     return round(min(reflectance * factor, _BRIGHTEST), 4)

@@ -1,6 +1,6 @@
 """Materials of Mitsuba: bidirectional scattering distribution functions of surfaces.
 
-Each imports only from those above it:
+Each module imports only from the modules above it:
 
     mottle            reflectance that varies from place to place
     ggx               the distribution of microfacets of all rough materials

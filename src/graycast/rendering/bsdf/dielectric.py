@@ -14,7 +14,7 @@ BLACK = 1e-12  # Lower limit of the colour, because 0 times infinity would be Na
 
 
 class _DeltaBSDF(mi.BSDF):
-    """The base class of all glass, with the properties `reflectance` (colour) and `eta` (index)."""
+    """Base class of glass BSDFs, with the properties `reflectance` (colour) and `eta` (index)."""
 
     def __init__(self, props: mi.Properties, flags: int):
         super().__init__(props)
@@ -76,9 +76,9 @@ class Dielectric(_DeltaBSDF):
 class ThinDielectric(_DeltaBSDF):
     """A thin wall with two parallel surfaces, for light from both sides.
 
-    With the reflectance R of one surface and all reflections between the two, the wall reflects
-    `2 R / (1 + R)` and transmits `(1 - R) / (1 + R)`, times the colour. In `mitsuba/sight.py`, rays
-    pass the wall; the BSDF is evaluated only for the other rays, and mirrors them.
+    If one surface reflects the share R, the wall reflects `2 R / (1 + R)` and transmits
+    `(1 - R) / (1 + R)`, times the colour, with all reflections between its surfaces. In
+    `mitsuba/sight.py`, rays pass the wall; only the other rays use the BSDF, which mirrors them.
 
     Leaves out: the parallel shift of transmitted rays; the effect of the angle on the colour.
     """

@@ -6,11 +6,11 @@ refracted out again, so the lobe of the metal is about n times as wide as in air
 
     f = f_coat + K(i) T(o) f_1(i', o') / n^2,    K = T + F_ms T (1 - S) / S,
 
-with directions i', o' inside, the metal's single reflection `f_1` of `rough_conductor.py`, and the
-share `S(i)` of light that leaves a white metal and the film after it. The light that facets or film
-send back leaves later, in the same lobe. Its share is `F_ms = F_avg S_2 / (1 - F_avg (1 - S_2))`,
-where `S_2` leaves after its second reflection. A white metal returns all light. If both surfaces
-are smooth, this is the sum of all reflections between two planes, `T^2 R / (1 - R E_c)`.
+where i', o' are the directions inside, `f_1` is the metal's single reflection of
+`rough_conductor.py`, and `S(i)` is the share of light that leaves a white metal and the film after
+it. Light that facets or film send back leaves later, in the same lobe. Its share is
+`F_ms = F_avg S_2 / (1 - F_avg (1 - S_2))`, where `S_2` leaves after its second reflection. A white
+metal returns all light. The limit for smooth surfaces is `T^2 R / (1 - R E_c)`.
 
 The metal's reflectance must be given for metal in the film, where it is lower than in air: for iron
 in oil it is 0.38 instead of 0.51.

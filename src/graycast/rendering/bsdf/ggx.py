@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 Alpha: TypeAlias = mi.Float | mi.Vector2f
-TABLE = 128  # The number of nodes in a table over the cosine, which is linear between them.
+TABLE = 128  # Number of nodes in a table over the cosine; values between them are interpolated.
 # If roughness varies, tables have a row for each of these alphas, with equal steps of the cube
 # root: energy changes fastest for rough metals and for smooth coats.
 ALPHAS = np.linspace(1e-4 ** (1 / 3), 1, 24) ** 3
@@ -49,7 +49,7 @@ def stretched(w: mi.Vector3f, alpha: Alpha) -> mi.Vector3f:
 def single_reflection(
     wi: mi.Vector3f, wo: mi.Vector3f, half: mi.Vector3f, alpha: Alpha
 ) -> tuple[mi.Float, mi.Float]:
-    """Return `D G2 / (4 cos cos)` times the cosine of wo, and the density of wo when sampled."""
+    """Return `D G2 / (4 cos cos)` times the cosine of wo, and the sampling density of wo."""
     cos_i, cos_o = mi.Frame3f.cos_theta(wi), mi.Frame3f.cos_theta(wo)
     density = 0.5 * distribution(half, alpha)
     length_i, length_o = dr.norm(stretched(wi, alpha)), dr.norm(stretched(wo, alpha))
@@ -68,7 +68,7 @@ def sample_visible(wi: mi.Vector3f, alpha: Alpha, uv: mi.Point2f) -> mi.Vector3f
 
 
 def interpolated(table: mi.Float, cosine: mi.Float, row: mi.UInt32 | None = None) -> mi.Float:
-    """Interpolate a table over the cosines from 0 to 1 linearly, or one row of a table of rows."""
+    """Interpolate linearly in a table over the cosines from 0 to 1, or in one row of several."""
     place = dr.clip(cosine, 0, 1) * (TABLE - 1)
     low = mi.UInt32(dr.minimum(place, TABLE - 2))
     first = low if row is None else row * TABLE + low
@@ -127,7 +127,7 @@ class GlossyBSDF(mi.BSDF):
         return self.alpha if varied is None else dr.square(varied.eval_1(si, active))
 
     def eval_pdf(self, context, si, wo, active):
-        """Return value times cosine, and solid-angle density; 0 for directions from below."""
+        """Return the BSDF times the cosine, and the solid-angle density; 0 below the surface."""
         cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
         active &= (cos_i > 0) & (cos_o > 0)
         value, pdf = self.reflected(si, wo, cos_i, cos_o, active)

@@ -6,7 +6,7 @@ two places at the distance r is about `exp(-(r / length)^2)`. u is uniformly dis
 the limit `MOTTLE_PEAK` and reflectance needs no clipping, which would change its mean.
 
 The field is one volume of numbers, read with linear interpolation and repeated in space. Its axes
-are turned relative to the part's axes, so a flat face never shows the same cut again.
+are rotated relative to the part's axes, so a flat face does not repeat the same section.
 
 Leaves out: varying slopes and roughness, which make glints, and a grain that is longer in one
 direction.
@@ -84,7 +84,7 @@ def _period_m(length_m: float) -> float:
 
 @lru_cache
 def mottle_field() -> Float32[np.ndarray, "z y x"]:
-    """Return the field u: white noise, blurred to a normal distribution and made uniform.
+    """Return the field u: white noise, blurred and then mapped to a uniform distribution.
 
     The blur gives correlations of `exp(-(r / 4)^2)` between voxels. The uniform distribution
     shortens the length at which the correlation is 1/e by 2 %, and linear interpolation, which also

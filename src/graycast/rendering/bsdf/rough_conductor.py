@@ -6,9 +6,9 @@ other facets and leaves later. It is added in the directions of the first lobe,
 
     f = f_single (1 + F_ms (1 - E) / E),    F_ms = F_avg E_avg / (1 - F_avg (1 - E_avg)),
 
-with `E` for the direction in which light leaves (from which a path from the camera arrives),
-`E_avg` its cosine-weighted mean, and `F_avg = F0 + (1 - F0) / 21` the mean of Schlick's Fresnel
-term. A white metal returns all light, and colours deepen as they do with repeated reflection.
+where `E` belongs to the direction in which light leaves (from which a path from the camera
+arrives), `E_avg` is its cosine-weighted mean, and `F_avg = F0 + (1 - F0) / 21` is the mean of
+Schlick's Fresnel term. A white metal returns all light, and repeated reflection deepens colours.
 
 The metal of Blender's Principled BSDF agrees with this to 0.3 % in all cases tested
 (`tests/rendering/test_materials_in_both.py`).
@@ -171,8 +171,9 @@ def lost_share(along: float, across: float) -> tuple[np.ndarray, float]:
 
 @lru_cache
 def energy_shares() -> tuple[np.ndarray, np.ndarray]:
-    """Return `E` of white GGX facets and its mean, for each of `ggx.ALPHAS`. `E` is a flat array
-    with a row for each alpha, over the cosine of `lost_share`.
+    """Return `E` of white GGX facets and its mean, for each of `ggx.ALPHAS`.
+
+    `E` is a flat array with a row for each alpha, over the cosine of `lost_share`.
     """
     tables = [lost_share(alpha, alpha) for alpha in ggx.ALPHAS.tolist()]
     energy = 1 / (1 + np.concatenate([lost[0] for lost, _ in tables]))

@@ -1,4 +1,4 @@
-"""The files that describe a scene for Cycles, and the list of its renders."""
+"""Write the files that describe a scene for Cycles, and list its renders."""
 
 import json
 import math
@@ -41,7 +41,7 @@ class Render:
     levels: tuple[int, ...] = ()
 
     def order(self, bands: Bands, seed: int) -> dict[str, Any]:
-        """Return the entry of a job; `bands` has the bands' shares of the projector's light."""
+        """Return the render's entry in a job; `bands` has their shares of the projector's light."""
         # Three patterns in one render use one band each, all for the same wavelength.
         shares = [1.0] * 3 if len(self.levels) == 3 else list(bands)
         return asdict(self) | {"bands": shares, "seed": seed}

@@ -27,7 +27,7 @@ _REMEDY = f"run make cycles, or set {PYTHON_VARIABLE} to a Python that has it"
 
 
 class CyclesDied(Exception):
-    """An error: the child process ended during a job; the text has its exit code or signal."""
+    """The child process ended during a job; the text has its exit code or signal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ class CyclesState:
 
 
 def find_cycles() -> Path | None:
-    """Return the Python with Blender: GRAYCAST_CYCLES_PYTHON, else the one of `make cycles`."""
+    """Return the Python with Blender: GRAYCAST_CYCLES_PYTHON, or else what `make cycles` made."""
     named = os.environ.get(PYTHON_VARIABLE)
     if named:
         return Path(named)

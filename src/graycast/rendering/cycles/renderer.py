@@ -1,8 +1,8 @@
 """The `Renderer` that uses Blender Cycles.
 
 Each pattern, the white picture and the ambient picture are separate renders with different random
-numbers, so noise differs between patterns, as in the paper. A white pattern is the white picture,
-and a black one is black. The ambient picture is rendered once and is part of every frame.
+numbers, so noise differs between patterns, as in the paper. White patterns reuse the white picture,
+and black patterns are not rendered. The ambient picture is rendered once for all frames.
 
 Limits: no constant blur (`psf_px`) of the projector; silhouettes are rasterised by `rig.meshdepth`
 and, with a distorted lens, end at the image.
@@ -179,7 +179,7 @@ class CyclesRenderer(Renderer):
             self._process = None
 
     def _run(self, folder: Path, frames: tuple[Render, ...]) -> None:
-        """Run a job to its end; if the process dies, another continues with the missing frames."""
+        """Run a job to its end; if the process dies, a new process renders the missing frames."""
         for _ in range(MAX_DEATHS):
             if self._process is None:
                 self._process = CyclesProcess(self._python)

@@ -1,7 +1,7 @@
 """Mitsuba 3 as a back end: one pass of light paths for all patterns.
 
 These modules load Mitsuba, so they are imported after `open_device` has set its variant. Each
-imports only from those above it:
+module imports only from the modules above it:
 
     patterns   patterns in few bits, and sums over them
     lens       lenses in Dr.Jit

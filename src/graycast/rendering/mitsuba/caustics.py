@@ -2,9 +2,9 @@
 
 A path from the camera finds light from a polished face only if the random diffuse direction at the
 lit surface happens to meet the spot that mirrors the small lens of the projector. This is rare, and
-then very bright. A path from the projector meets that spot naturally. The path starts at a position
-in the projector's picture and carries the levels there. Each vertex from the second on is connected
-to a point of the camera's pupil, and its light is added to the pixel there unless it is occluded.
+such a path is very bright. A path from the projector meets that spot directly. It starts at a
+position in the projector's picture and carries the levels there. Each vertex from the second on is
+connected to a point of the camera's pupil, and its light is added to that pixel unless occluded.
 
 Both kinds of path can find most of this light, so each is weighted by multiple importance sampling
 (`share`), with the odds that the other kind would have found the path. Direct light, and light
@@ -179,8 +179,9 @@ class CausticTracer:
         return dr.dispatch(si.bsdf(ray), self._ask, si, to_camera, pick, uv)
 
     def _ask(self, bsdf, si, to_camera, pick, uv):
-        """Return value and density of the reflection from the camera's direction to this path's
-        origin; then a sampled direction to go on, and its value and density.
+        """Evaluate the reflection from the camera to this path's origin, and sample a direction.
+
+        Return value and density of the reflection; and the direction, its value and density.
         """
         if bsdf is None:  # The world has no surface.
             none = mi.Color3f(0)

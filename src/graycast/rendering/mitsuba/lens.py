@@ -52,7 +52,7 @@ def through_focus(
 ) -> tuple[mi.Vector3f, mi.Vector3f]:
     """Return start and unit direction, in the camera frame, of a ray through a point of the pupil.
 
-    The point is on the unit disc. All rays of a pixel position meet in the plane in focus.
+    The point is given on the unit disc. All rays of a pixel position meet in the plane in focus.
     """
     start = mi.Vector3f(0.5 * camera.aperture_m * place.x, 0.5 * camera.aperture_m * place.y, 0)
     return start, dr.normalize(direction / direction.z - start / camera.focus_m)

@@ -52,7 +52,7 @@ class Paths:
     offset: list[mi.Point2f]  # Start of each sample sequence of the pixel
     sample: mi.UInt32
     vertex: mi.UInt32  # Number of the vertex in the path
-    alive: mi.Bool  # The path has a next vertex.
+    alive: mi.Bool  # Whether the path has a next vertex
     throughput: mi.Color3f
     origin: mi.Point3f
     direction: mi.Vector3f
@@ -218,8 +218,10 @@ class Tracer:
         return p
 
     def _ask(self, bsdf, si, to_lens, to_lamp, pick, uv):
-        """Return albedo; value to the projector; value and density to the lamp; a direction to go
-        on; and the densities of a path from the projector for both ways.
+        """Evaluate a vertex's material and sample a direction.
+
+        Return albedo; value to the projector; value and density to the lamp; the direction and its
+        weight; and the densities of a path from the projector for both ways.
         """
         none, no_pdf = mi.Color3f(0), mi.Float(0)
         if bsdf is None:  # The world has no surface.

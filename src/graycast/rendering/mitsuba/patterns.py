@@ -13,8 +13,8 @@ from ...rig.pattern import AXES, Axis
 class PackedPatterns:
     """The light of all patterns, as 32-bit words for each projector pixel.
 
-    A pattern takes one bit if all patterns are binary, eight bits with a linear response, and else
-    sixteen, which is a rounding of 1e-5.
+    A pattern takes one bit if all patterns are binary, eight bits with a linear response, and
+    sixteen bits otherwise, with a rounding error of 1e-5.
     """
 
     def __init__(self, pattern: np.ndarray, rig: Rig):
@@ -104,7 +104,7 @@ def aligned(values: np.ndarray) -> np.ndarray:
 
 
 def bit_counts(words: list[mi.UInt32]) -> list[mi.UInt32]:
-    """Count the words in which each of the 32 bits is set; `words` are one, three or six.
+    """Count how many of one, three or six words have each of the 32 bits set.
 
     Word k of the result has bit k of each count, from the lowest bit on. Full adders count all 32
     bits at once, so a pattern costs as many additions as its count has bits.

@@ -54,7 +54,7 @@ class ShinyField:
     """The cells of the projector's picture that light a shiny surface, and rays through them.
 
     A cell is used if one of its probes, or of its neighbours' probes, finds a shiny surface. Light
-    through other cells is left to the paths from the camera.
+    through other cells is sampled only by paths from the camera.
     """
 
     def __init__(
@@ -143,12 +143,12 @@ def odds_on_arrival(odds: mi.Float, si, direction: mi.Vector3f, first: mi.Bool) 
 def odds_onward(
     odds: mi.Float, back_pdf: mi.Float, pdf: mi.Float, si, direction: mi.Vector3f, first: mi.Bool
 ) -> mi.Float:
-    """Update the odds after a vertex by the ratio of both kinds' densities of direction there."""
+    """Update the odds after a vertex by the ratio of the direction densities of both path kinds."""
     return odds * dr.select(first, 1, back_pdf) * dr.abs(dr.dot(si.n, direction)) / pdf
 
 
 def back_pdf(bsdf, context, si, wo: mi.Vector3f) -> mi.Float:
-    """Return the density of the reverse path: it comes from `wo` and goes back along this one."""
+    """Return the density of the reverse path, which comes from `wo` and leaves along `si.wi`."""
     other = mi.SurfaceInteraction3f(si)
     other.wi = wo
     return bsdf.pdf(context, other, si.wi, True)

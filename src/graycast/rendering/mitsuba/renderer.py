@@ -13,9 +13,9 @@ patterns over this patch (`Quality.footprint`), as ray cones filter textures. Th
 the number of samples, so the estimate is consistent. The white frame does not change, and stripes
 in a rough reflection are blurred, as they are in the limit, and do not sparkle.
 
-Both lenses are thin (`Optics`). Paths start all over the camera's pupil. The projector lights a
-point with a disc of its picture, so the mean level over that disc is used, too. The samples of a
-pixel are pairs of opposite positions, so a smooth surface is seen at the exact centre of the pixel.
+Both lenses are thin (`Optics`). Paths start at random points of the camera's pupil. The projector
+lights a point with a disc of its picture, so the mean level over that disc is used, too. A pixel's
+samples are pairs of opposite positions, so a smooth surface is seen at the exact pixel centre.
 
 For projector light on shiny surfaces, more paths start at the projector (`caustics.py`).
 
@@ -63,7 +63,7 @@ from .truth import centre_places, truth
 class MitsubaRenderer(Renderer):
     """The one-pass renderer. It keeps the last Mitsuba scene; the process keeps the device.
 
-    Other images of the same scene, by other rigs or from other poses, use that scene again.
+    Other images of the same scene, by other rigs or from other poses, reuse that scene.
     """
 
     name = "mitsuba"
@@ -81,7 +81,7 @@ class MitsubaRenderer(Renderer):
         refuse_other_size(pattern, scene.rig.projector)
         if quality.denoise == "optix":
             raise ValueError("denoise optix exists only for Cycles: choose none or oidn")
-        # Dr.Jit keeps free blocks of the last scene, which do not all fit this one and accumulate.
+        # Dr.Jit keeps free blocks of the last scene, which accumulate unless they fit this one.
         dr.flush_malloc_cache()
         measured = at_projector_wavelength(scene)
         world, look_world = self._open_worlds(scene, measured, layout)
@@ -162,7 +162,7 @@ def light(
 
 
 def _shiny_field(stage: Stage, shiny: tuple[mi.Shape, ...]) -> ShinyField | None:
-    """Return the shiny field of the projector's picture; None if no light can go on from there."""
+    """Return the shiny field of the projector's picture; None if no light goes on from there."""
     if not shiny or stage.quality.depth == 1:
         return None
     field = ShinyField(stage.world, stage.light, shiny, stage.pixels)

@@ -1,4 +1,4 @@
-"""Intersection of rays with scenes that may have glass: rays pass thin walls and meet solid glass.
+"""Intersect rays with scenes that may have glass: rays pass thin walls and meet solid glass.
 
 A ray either passes a thin wall, with the transmitted share as the probability, or ends there and is
 mirrored. So a wall that is passed is no vertex, and surfaces behind it are lit and seen directly.

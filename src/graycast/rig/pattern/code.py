@@ -24,7 +24,7 @@ GreyLevels = Callable[[arrays.FloatArray_any], arrays.UInt8Array_any]
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Code:
-    """The frames of a stack in the order in which they are shown.
+    """A code: the frames of a stack in the order of projection.
 
     Code value 0 of a Gray code begins at projector pixel `offset_px` (column, row), and each value
     is `stride_px` pixels wide.
@@ -65,7 +65,7 @@ class Code:
 
     @property
     def codec(self) -> str:
-        """Name of a codec that is only a list of frames."""
+        """Codec name of a code that is only a list of frames."""
         return "own"
 
     @property
@@ -101,7 +101,7 @@ class Code:
         return image
 
     def _line(self, frame: Frame, to_levels: GreyLevels) -> UInt8[np.ndarray, "h w"]:
-        """Return the part of a frame that repeats: a row, a column, or (without axis) a pixel."""
+        """Return the repeated part of a frame: a row, a column, or (without an axis) a pixel."""
         if frame.axis is None:
             return to_levels(level_share(frame, 1))[None]
         i = AXES.index(frame.axis)
@@ -116,7 +116,7 @@ class Code:
 
 
 def _check_even_steps(frames: tuple[Frame, ...]) -> None:
-    """Refuse uneven steps if a period has three or more frames, which determine its phase."""
+    """Raise an error if steps of a period with three or more frames differ by parts of a step."""
     groups: dict[tuple, list[Frame]] = {}
     for frame in frames:
         if frame.steps:
@@ -174,10 +174,10 @@ def gray_phase(
 ) -> Code:
     """Make a Gray code that counts periods, a complementary bit, and a cosine in `steps` steps.
 
-    The complementary bit distinguishes the halves of a period, so that a Gray edge that is wrong
-    by up to a quarter of a period does not cause a jump by 2 pi. A second cosine of
-    `fine_period_px` makes positions finer. Light that arrives by way of another surface shifts the
-    two cosines by different distances, so it can be distinguished from direct light.
+    The complementary bit distinguishes the halves of a period, so that a Gray edge that is wrong by
+    up to a quarter of a period does not cause a jump by 2 pi. A second cosine of `fine_period_px`
+    makes positions more precise. Light that arrives by way of another surface shifts the two
+    cosines by different distances, so it can be distinguished from direct light.
     """
     if fine_period_px is not None and not fine_period_px < period_px:
         raise ValueError(
@@ -213,8 +213,8 @@ def gray_line_shift(
     """Make a Gray code that counts periods, and a comb of lines shifted pixel by pixel.
 
     Guehring (2001) finds each line's peak in the camera image; here the first harmonic of the
-    shifts gives the position at every camera pixel. With lines of one pixel in eight the amplitude
-    is half that of a cosine, with a quarter of the light: less photon noise, more read noise.
+    shifts gives the position at every camera pixel. If one pixel in eight is lit, the amplitude is
+    half that of a cosine, with a quarter of the light: less photon noise, and more read noise.
     """
     if period_px != int(period_px):
         raise ValueError(
@@ -265,8 +265,8 @@ def micro_phase(
 ) -> Code:
     """Make a code for micro phase shifting: six short periods that are nearly equal.
 
-    The first has three steps, each other one step. Nearly equal periods have the same mean and
-    amplitude. Interreflections average out such short periods, and so do no harm.
+    The first period has three steps, and each other period has one. Nearly equal periods have the
+    same mean and amplitude. Interreflections average out such short periods and cause no error.
 
     Source: M. Gupta, S. Nayar, "Micro Phase Shifting", CVPR 2012; the periods are our own.
     """
@@ -278,7 +278,7 @@ def micro_phase(
     return Code(width_px=width_px, height_px=height_px, frames=(*_ENDS, *frames))
 
 
-# A random search gave these: cosines of any two of 80 periods differ by over 0.24, of 120 by 0.12.
+# From a random search: cosines of any two of 80 periods differ by over 0.24, of 120 by over 0.12.
 _MICRO_RATIOS = (0.9432, 0.9077, 1.0869, 1.1273, 1.1023)
 
 

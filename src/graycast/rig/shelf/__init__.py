@@ -1,4 +1,4 @@
-"""Scanners by name: one file each, in its maker's terms, with a source for each number."""
+"""Scanners by name: each has a file in its maker's terms, with a source for each number."""
 
 from .entry import MEASURED, NAMES, SHELF, ShelfEntry, ShelfFigures, measured, no_rig, shelf_entry
 from .sources import LEGEND, class_of, source_lines, stated_numbers

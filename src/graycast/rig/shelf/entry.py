@@ -38,7 +38,7 @@ _TOO_LITTLE_PUBLIC = ("motioncam", "cognex", "keyence")
 
 
 class DeviceSection(Settings):
-    """A camera or a projector; by default it has square pixels and its axis is in the middle."""
+    """A camera or a projector; by default it has square pixels and a centred principal point."""
 
     size_px: tuple[int, int]
     fx_px: Positive | None = None
@@ -53,7 +53,7 @@ class DeviceSection(Settings):
         return self
 
     def optics(self, binning: int = 1) -> Optics:
-        """Return a pinhole in which `binning` x `binning` pixels are summed.
+        """Return pinhole optics in which `binning` x `binning` pixels are summed to one pixel.
 
         Positions are relative to pixel centres, so `c + 0.5` becomes `(c + 0.5) / binning`.
         """
@@ -91,7 +91,7 @@ class FigureClaim(Settings):
 
 
 class Claims(Settings):
-    """The figures that a maker states for its device; None where we know of none."""
+    """The figures that a maker states for its device; None for a figure that we do not know."""
 
     fields: tuple[FieldClaim, ...] = ()
     noise: FigureClaim | None = None  # temporal noise, point precision or Z repeatability, 1 sigma
@@ -105,7 +105,7 @@ class ShelfEntry(Settings):
     """A scanner of the shelf.
 
     The relative pose is given in one of two ways: a baseline along x and the toe-in of each device,
-    or the projector's pose in the camera frame, with its turn about x first and then about y.
+    or the projector's pose in the camera frame, with its rotation about x first and then about y.
     """
 
     likeness: str
@@ -182,7 +182,7 @@ def shelf_entry(name: str) -> ShelfEntry:
 
 
 def base_of(name: str, base: str | None) -> str | None:
-    """Return the scanner that completes the file of `name`; None for a file without a base.
+    """Check the base that the file of `name` states, and return it; None for a file without a base.
 
     Raises:
         ConfigError: the base is no scanner of the shelf, or has a base of its own.

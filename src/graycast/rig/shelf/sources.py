@@ -11,7 +11,7 @@ import yaml
 from ..former_names import current_name
 from .entry import base_of
 
-# The comment behind a number begins with the words of its class; the best class comes first.
+# The comment after a number begins with the words of its class; the best class comes first.
 CLASSES: Mapping[str, str] = {
     "source": "source: ",
     "quoted": "quoted: ",
@@ -23,7 +23,7 @@ LEGEND = (
     "from a datasheet and not checked, [choice] our choice; the rest is computed or simulated"
 )
 _GEOMETRY = ("camera", "projector", "baseline_m", "toe_in_deg", "near_m", "far_m")
-_WORDS = ("likeness", "laser", "base")  # These keys have neither numbers nor a light as values.
+_WORDS = ("likeness", "laser", "base")  # The values of these keys are neither numbers nor lights.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ def stated_numbers(name: str) -> Mapping[str, StatedNumber]:
     section, such as `claims`, comes from the scanner's file or else from its base.
 
     Raises:
-        ValueError: the comment behind a number names no class.
+        ValueError: the comment after a number names no class.
     """
     text = _file_text(name)
     lines = text.splitlines()

@@ -18,7 +18,7 @@ Kinds = Int[np.ndarray, " n"]  # the kind of each part
 class Body:
     """One kind of part as a rigid body of the physics engine, in the part's frame.
 
-    Mass, centre of mass and inertia belong to the evenly filled mesh, not to the hulls.
+    Mass, centre of mass and inertia are those of the evenly filled mesh, not of the hulls.
     """
 
     hulls: tuple[Hull, ...]
@@ -74,10 +74,10 @@ def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
 def motion_m(
     T_world_part: Float[np.ndarray, "t n 4 4"], box_m: Float[np.ndarray, "n 8 3"]
 ) -> Float[np.ndarray, "t n"]:
-    """Return, per pose of each part, the largest distance of a point from its last position [m].
+    """Return, for each time and part, the largest distance of a point from its last position [m].
 
     `box_m` has the corners of a box around each part, in the part's frame. The distance is a convex
-    function of the point, so no point in the box moved farther than a corner.
+    function of the point, so no point in the box moves farther than a corner.
     """
     corner_m = box_m @ np.swapaxes(T_world_part[..., :3, :3], -1, -2)
     corner_m += T_world_part[:, :, None, :3, 3]
@@ -91,8 +91,8 @@ def parts_outside(
     """Return a mask of the parts that are not in the bin.
 
     A part is in the bin if its centre of mass is above the inner floor's rectangle and its lowest
-    point is below the rim. So a part that rises from the heap over the rim is inside. A part with
-    its centre of mass beyond the wall, or a part on top of an overfull heap, is outside.
+    point is below the rim. So a part that sticks out of the heap above the rim is inside. A part
+    with its centre of mass beyond the wall, or a part on top of an overfull heap, is outside.
     """
     outside = np.zeros(len(part_index), dtype=bool)
     for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):

@@ -1,9 +1,9 @@
-"""Simulation of a tool that lifts a part out of the heap and holds or loses it.
+"""Simulate a tool that lifts a part out of the heap and holds or loses it.
 
-The tool follows a given path, and forces on the tool do not change it. The part hangs on the tool
-by springs and dampers, like a suction cup on its bellows; their force is known at every step, and
-the tool's own law says whether the grip holds. The grip therefore carries its true load: the
-weight, parts that lie on the part, friction at walls, and the accelerations of the path.
+The tool follows a given path, which forces on the tool do not change. The part hangs on the tool by
+springs and dampers, like a suction cup on its bellows. Their force is known at every step, and the
+tool's own law says whether the grip holds. The grip therefore carries its full load: the weight,
+other parts on top of the part, friction at walls, and the accelerations of the path.
 
 Leaves out: collisions of the tool's body, which the planner must prevent.
 """
@@ -23,10 +23,10 @@ from .rapier import RapierPart, Terms, open_heap
 
 Vector3 = Float[np.ndarray, "3"]
 _Motion = tuple[Float[np.ndarray, "4 4"], Vector3, Vector3]  # world pose, velocity and turning rate
-# Springs must keep a part on its path, but a step must be able to follow them: stiffness and
-# damping are at most these shares of the values that one step can follow.
+# Springs must keep a part on its path, but the simulation must stay stable: stiffness and damping
+# are at most these shares of the largest values that the time step allows.
 MOST_STIFFNESS, MOST_DAMPING = 0.1, 0.5
-# Robots move faster than parts that are lowered by hand, and their springs are stiffer.
+# A robot moves faster than parts in a drop, and stiff springs need a shorter time step.
 SPEED_M_S = 10.0
 STEP_S = 0.002
 
@@ -36,9 +36,9 @@ STEP_S = 0.002
 class Hold:
     """A tool's grip on a part: the tool's pose on the part, and the grip's strength and stiffness.
 
-    `T_part_tool` is the tool's pose on the part. `factor` returns the safety factor of a load: a
-    force [N] and its moment about the tool's origin [Nm], both in the tool's frame, as the part
-    pulls at the tool. `stiffness_n_m` applies along each axis, `turning_nm` about each [Nm/rad].
+    `T_part_tool` is the tool's pose on the part. `factor` returns the safety factor for the load of
+    the part on the tool: a force [N] and a moment about the tool's origin [Nm], both in the tool's
+    frame. `stiffness_n_m` applies along each axis, `turning_nm` about each axis [Nm/rad].
     """
 
     T_part_tool: Float[np.ndarray, "4 4"]
@@ -77,7 +77,7 @@ def lift(
     hold: Hold,
     T_world_tool: Float[np.ndarray, "t 4 4"],
 ) -> Lift:
-    """Move a tool that holds a part along a path; the other parts are at rest at first.
+    """Move a tool that holds a part along a path; all parts are at rest at the start.
 
     Args:
         number: index of the part that the tool holds.
@@ -136,7 +136,7 @@ class _Spring:
 
     @staticmethod
     def of(hold: Hold, body: Body) -> "_Spring":
-        """Return a spring with critical damping that is no stiffer than a step can follow.
+        """Return a spring, critically damped if possible, as stiff as the time step allows at most.
 
         A force off the centre of mass also turns the part, so the effective mass there is less than
         the part's mass.

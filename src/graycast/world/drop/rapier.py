@@ -1,8 +1,8 @@
 """The physics engine Rapier 0.36, which only this file uses.
 
 Internally, lengths and gravity are scaled by 20, because Rapier's contact model is tuned to objects
-of a metre; times and masses are not scaled. Rapier's defaults leave 1 mm of overlap or never rest.
-It runs in one thread, so equal starts give equal ends, bit for bit, on one type of machine.
+of a metre; times and masses are not scaled. With Rapier's defaults, parts overlap by 1 mm or never
+rest. It runs in one thread, so equal starts give equal ends, bit for bit, on one type of machine.
 
 Leaves out: bouncing (restitution is 0), rolling friction, bending, air. Friction of a pair is the
 mean of the two coefficients; the engine's cone gives 86 to 100 % of it, by direction. Flat faces
@@ -53,7 +53,7 @@ class Terms:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RapierPart:
-    """A kind of part in the engine's own form."""
+    """A kind of part as objects of the engine."""
 
     shape: rapier3d.SharedShape
     mass: rapier3d.MassProperties
@@ -86,7 +86,7 @@ Pieces = Float[np.ndarray, "_ _ 3"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RapierHeap:
-    """A world with a bin and parts that start at rest; each has a range of collider labels."""
+    """A world with a bin and parts that start at rest; collider labels count blocks, then parts."""
 
     world: rapier3d.PhysicsWorld
     blocks: list[Pieces]
@@ -114,7 +114,7 @@ class RapierHeap:
         body.add_torque(tuple((SCALE**2 * moment_nm).tolist()), True)
 
     def damp(self, factor: Float[np.ndarray, " n"]) -> None:
-        """Damp each part by its factor times the engine's small damping; 0 means no damping."""
+        """Set each part's damping to its factor times the small default; 0 means no damping."""
         for handle, own in zip(self.parts, factor.tolist(), strict=True):
             body = self.world.rigid_bodies[handle]
             body.linear_damping = LINEAR_DAMPING * own
@@ -141,16 +141,16 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     settings = world.integration_parameters
     settings.dt = terms.step_s
     settings.num_solver_iterations = 8
-    # Continuous detection against fixed bodies would take two thirds of the time, because it
-    # computes every hull's mass properties at every step. At 4 mm a step no part crosses `WALL_M`.
+    # Continuous collision detection against fixed bodies would take two thirds of the time, because
+    # it computes every hull's mass properties at every step. A part moves 4 mm per step at most.
     settings.max_ccd_substeps = 0
     # Clustering selects some of a compound's contact points at every step. It is four times as
     # fast, but a part on three points (a bolt or a tube) rocks forever from one pair of points to
     # another. So parts fall with clustering and come to rest without it.
     settings.contact_clustering = terms.clustered
     settings.normalized_prediction_distance = 0.01
-    # The engine's own, cheaper friction model also resists spin about a contact, which a point
-    # cannot do: in a heap it stopped six of ten bottles that roll away in another engine.
+    # The engine's own, cheaper friction model also resists spin about a point contact, which is
+    # wrong: in a heap it stopped six of ten bottles that roll away in another engine.
     settings.friction_model = rapier3d.FrictionModel.COULOMB
     settings.contact_softness = rapier3d.SpringCoefficients(240.0, 10.0)
     settings.static_contact_softness = rapier3d.SpringCoefficients(480.0, 10.0)
@@ -250,7 +250,7 @@ def _rotation(matrix: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
 
 
 def _near(one: list[np.ndarray], other: list[np.ndarray]) -> list[list[int]]:
-    """Return the index pairs of pieces of two solids whose bounding boxes meet."""
+    """Return index pairs of pieces, one from each solid, whose bounding boxes overlap."""
     (low, high), (low_b, high_b) = (
         np.array([[piece.min(axis=0), piece.max(axis=0)] for piece in solid]).swapaxes(0, 1)
         for solid in (one, other)

@@ -1,9 +1,9 @@
-"""Simulation of parts that fall and come to rest, in two stages.
+"""Simulate parts that fall and come to rest, in two stages.
 
 Parts **fall** between walls that extend the bin's walls upwards, slightly damped, until no part
 moves far. Then they **rest** in a new world without the speeds, forces or contacts of the fall,
 without these walls, with nine tenths of the friction, and without damping. Only a part that leaves
-its place is damped, until it rests again. So a heap at rest needs no support by the simulation.
+its place is damped, until it rests again. So a heap at rest is stable without such aids.
 
 Rest is defined by positions over time, not by an instantaneous speed. Damping replaces effects that
 the engine does not model (rolling friction, bending, air). It is small at first and then grows, so
@@ -33,9 +33,9 @@ _REST = Terms(friction=0.9)
 REST_MOTION_M, REST_LOOKS = 0.5e-3, 15
 # A part rests in a new place if it moves no farther in 0.2 s; a scanner does not resolve this.
 PLACE_MOTION_M, PLACE_LOOKS = 0.1e-3, 5
-# A heap that moves by less in 0.2 s is at rest, with no need to wait 0.6 s. A motion out of balance
-# grows e-fold in sqrt(l / g), 0.05 s for a part of 25 mm, from the first shake's 1 to 700 um. Parts
-# at rest move by 0 to 6 um in 0.04 s, which does not add up: they tremble about a place.
+# A heap that moves by less than this in 0.2 s is at rest, without a wait of 0.6 s. An unstable
+# motion grows e-fold in sqrt(l / g), 0.05 s for a part of 25 mm, from the first shake's 1 to 700
+# um. Parts at rest vibrate: their motions of 0 to 6 um in 0.04 s do not add up.
 STILL_MOTION_M = 10e-6
 
 # One bolt of 255 may rock from edge to edge forever. While all parts fall, damping doubles every
@@ -61,8 +61,8 @@ def simulate(
     that leans over the rim falls off.
 
     Returns:
-        The final state, which `flaws` judges. `deepest_penetration_m` is the deepest overlap of any
-        two hulls of different parts, or of a hull and the bin.
+        The final state, which `flaws` checks. `deepest_penetration_m` is the deepest overlap of any
+            two hulls of different parts, or of a hull and the bin.
     """
     kinds = [RapierPart.of(body) for body in bodies]
     box_m = np.stack([body.box_m for body in bodies])[part_index]
@@ -87,7 +87,7 @@ def simulate(
 def _fall(
     heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float]:
-    """Return poses once no part moves far, or once time is up, and the simulated time [s]."""
+    """Run until no part moves far or time is up; return the poses and the simulated time [s]."""
     poses = deque([heap.poses()], maxlen=1 + FALLEN_LOOKS)
     for look in range(1, 1 + _looks(patience_s)):
         heap.damp(np.full(len(box_m), _damping(look * LOOK_S, *FALL_DAMPING_S)))
@@ -101,10 +101,10 @@ def _fall(
 def _rest(
     heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float, float, bool]:
-    """Return poses, how far a point moved last [m], simulated time [s], and whether the parts rest.
+    """Run until the parts rest or time is up; return poses, last motion [m], time [s], and success.
 
-    The motion is measured over the last 0.6 s, or the last 0.2 s if these showed that all parts
-    rest. A part that has left its place is damped until it rests in a new place.
+    The last motion is measured over the last 0.6 s, or the last 0.2 s if these showed that all
+    parts rest. A part that has left its place is damped until it rests in a new place.
     """
     poses = deque([heap.poses()], maxlen=1 + REST_LOOKS)
     damped_looks = np.zeros(len(box_m))  # number of looks for which each part was damped

@@ -1,8 +1,8 @@
-"""Drops of a scene's parts, repeated with the next sub-seed until a layout is acceptable.
+"""Drop a scene's parts, and repeat with the next sub-seed until a layout is acceptable.
 
 Parts start in random cells of a voxel grid above the bin, in random orientations. Source: Bai et
 al., "Close the Sim2real Gap via Physically-based Structured Light Synthetic Data Simulation", 2024
-(the grid; its cell size and fill are not given there).
+(the grid; the paper does not state its cell size and fill).
 """
 
 from collections.abc import Iterable, Sequence
@@ -39,11 +39,9 @@ HEAP_ABOVE_RIM = 1.5  # No heap has a larger volume than this many bins.
 class DropLimits:
     """The area where parts start to fall, and the limits of an accepted layout.
 
-    A layout must also be at rest, with all parts inside the bin.
-
-    `simulated_s` is how long one attempt may fall and settle, in simulated time. Parts start over
-    the middle of the bin, over `opening_share` of its inner length and inner width; a small share
-    makes a heap in the middle.
+    A layout must also be at rest, with all parts inside the bin. `simulated_s` is how long one
+    attempt may fall and settle, in simulated time. Parts start over the middle of the bin, over
+    `opening_share` of its inner length and inner width; a small share makes a heap in the middle.
     """
 
     penetration_m: Annotated[
@@ -107,7 +105,7 @@ def drop(
     hull_folder: Path | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Layout:
-    """Drop `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
+    """Drop `counts[i]` of `scene.parts[i]` into the bin until a layout is within the limits.
 
     Attempt k starts from `stream(seed, k)`; the first layout without `flaws` is returned, with its
     attempt number. Equal seeds give equal layouts, bit for bit.
@@ -240,7 +238,8 @@ def start_poses(
     *,
     opening_share: float = 1.0,
 ) -> tuple[Float[np.ndarray, "n 4 4"], Int[np.ndarray, " n"]]:
-    """Draw start poses that touch neither each other nor the bin's walls extended upwards.
+    """Draw start poses in which parts touch neither each other nor the bin's walls extended
+    upwards.
 
     A cell is as large as the largest part's bounding sphere, which is centred on the part's box.
     Cells are stacked in layers from the rim up; a part may have any orientation in its cell. In a

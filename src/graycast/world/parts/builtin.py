@@ -1,8 +1,8 @@
 """The built-in parts: our counterparts of the paper's five parts, modelled in code.
 
-Each is centred on its bounding box. Shapes are modelled in millimetres and scaled once. A filled
-package is one solid of uniform density: its mass is right, but its centre of mass and its moments
-of inertia assume even filling.
+The origin of each part is the middle of its bounding box. Shapes are modelled in millimetres and
+scaled once. A filled package is one solid of uniform density: its mass is right, but its centre of
+mass and its moments of inertia assume even filling.
 """
 
 from importlib.resources import files
@@ -32,7 +32,7 @@ RING_PROFILE_MM = (
     (21.0, 17.2), (20.2, 18.0), (17.6, 18.0), (17.0, 17.4), (17.0, 13.0), (14.6, 13.0),
     (14.0, 12.4), (14.0, 1.0),
 )  # fmt: skip
-RING_SEGMENTS = 128  # A rim facet lies 7.5 um inside the circle.
+RING_SEGMENTS = 128  # A rim facet is up to 7.5 um inside the circle.
 
 
 def _mesh(
@@ -51,7 +51,7 @@ def _mesh(
 
 
 def _ring() -> Part:
-    """Return a turned steel ring. Its ends differ, so only turns about its axis are symmetries."""
+    """Return a turned steel ring. Its ends differ, so it is symmetric only about its axis."""
     return Part(
         name="metal_workpiece_2",
         mesh=_mesh(*revolve(np.array(RING_PROFILE_MM), RING_SEGMENTS)),
@@ -158,7 +158,7 @@ def _carton(
 
 
 def _into_region(share: Float[np.ndarray, "*n 2"], region: Region) -> Float[np.ndarray, "*n 2"]:
-    """Return the uv in the atlas of positions in a panel (0 to 1, to the right and up)."""
+    """Map positions in a panel (0 to 1, to the right and up) to uv of the whole label."""
     low, high = np.array(region[:2]), np.array(region[2:])
     return low + share * (high - low)
 
@@ -231,7 +231,7 @@ def _spray() -> Part:
 
 
 def _spray_body() -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Return superelliptic sections: a rounded foot, straight sides, a shoulder and a neck."""
+    """Return the lofted body: a rounded foot, straight sides, a shoulder and a neck."""
     half_x, half_y, neck_z = _SPRAY_BODY_MM[0] / 2, _SPRAY_BODY_MM[1] / 2, _SPRAY_BODY_MM[2]
     sections = []
     for a in np.pi / 2 * np.arange(6) / 5:
@@ -304,7 +304,7 @@ BUILTIN: tuple[str, ...] = tuple(_MAKERS)
 
 
 def builtin_part(name: str) -> Part:
-    """Return a part known by name.
+    """Return the built-in part with this name.
 
     Raises:
         ValueError: the name is not in `BUILTIN`.

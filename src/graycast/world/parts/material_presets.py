@@ -2,10 +2,10 @@
 
 The colour of a pure metal is its reflectance at normal incidence in air,
 `((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)`, at 610, 550 and 465 nm, one for each band; `n` and `k` are
-published and linear between the wavelengths of their tables. The colour of a nonmetal with a source
-is the measured reflectance at the same wavelengths. A transparent material's colour is the share of
-light that 10 mm transmit; its source is that of the index. Everything else is our choice, including
-every roughness, anisotropy and scattered share: a start, until the part's are known. Brushed and
+published and interpolated linearly over the wavelength. The colour of a nonmetal with a source is
+the measured reflectance at the same wavelengths. A transparent material's colour is the share of
+light that 10 mm transmit; its stated source is that of the index. Everything else is our choice,
+including every roughness, anisotropy and scattered share, until the part's are known. Brushed and
 ground metal has its grooves along x of the mesh, turned metal about z.
 
 `surface` names the measured numbers of a finish. Classes of Ra do not give a roughness, because
@@ -29,7 +29,7 @@ OUR_CHOICE = "our choice"
 _RA = "all our choice; usual {}: calqlata.com, Surface Finish"
 # Brightness of the blasted plate in the white frame of an industrial scanner with pixels of 0.28
 # mm: its scatter is 0.18 of its local mean, with a correlation of 0.18 to 0.27 between neighbours.
-# Squares of 0.28 mm on a surface with these two numbers have the same values.
+# On a surface with these two numbers, squares of 0.28 mm have the same scatter and correlation.
 _BLASTED = (
     "mottle measured on one scanned plate: Open3DV, 3D_reconstruction_python; all else our choice"
 )
@@ -80,7 +80,7 @@ def _metal(
 
 
 def _finished(preset: MaterialPreset, surface: str, **changes: Any) -> MaterialPreset:
-    """Return a metal preset with a scattered share, a mottle, and the source of both numbers."""
+    """Return a preset with changed properties, and with the source of its surface's numbers."""
     return replace(preset, material=replace(preset.material, **changes), surface=surface)
 
 
@@ -180,7 +180,7 @@ MATERIALS: Mapping[str, MaterialPreset] = {
 
 
 def material_preset(name: str) -> MaterialPreset:
-    """Return a material known by name.
+    """Return the material preset with this name.
 
     Raises:
         ValueError: the name is not in `MATERIALS`.

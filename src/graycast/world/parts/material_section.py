@@ -169,7 +169,7 @@ def _of_name(material: Any) -> Any:
     return {"preset": material} if isinstance(material, str) else material
 
 
-# A configuration states a material as a section, or as a name only.
+# A configuration states a material as a section or only as a name.
 MaterialWords = Annotated[
     MaterialSection,
     BeforeValidator(_of_name, json_schema_input_type=PresetName | MaterialSection),
@@ -216,7 +216,7 @@ def resolve_material(
 
 
 def material_words(material: Material, section: MaterialSection | None) -> dict[str, Any]:
-    """Return the keys that describe a material, without its texture; `section` names its map."""
+    """Return the keys that describe a material, without its texture; `section` states its map."""
     if section is None or section.roughness_map is None:
         return material.words
     return material.words | {"roughness_map": str(section.roughness_map)}

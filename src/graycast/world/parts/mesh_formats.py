@@ -1,6 +1,6 @@
 """Bytes of mesh files: their format, STL with common defects, and the files that they name.
 
-A file's ending promises a format; its first bytes show the true one. An OBJ, PLY or GLB file may
+A file's ending states a format; its first bytes show the true format. An OBJ, PLY or GLB file may
 name further files: materials and pictures.
 """
 
@@ -136,7 +136,7 @@ def file_beside(path: Path, name: str) -> Path | None:
 def _names_in_obj(path: Path) -> Iterator[str]:
     with path.open("rb") as stream:
         libraries = [line for line in stream if line[:7].lower() == b"mtllib "]
-    for line in libraries[:1]:  # The reader takes the first one.
+    for line in libraries[:1]:  # The reader uses only the first library.
         name = line[7:].decode("utf-8", "replace")
         yield name
         library = file_beside(path, name)

@@ -1,4 +1,4 @@
-"""The user's mesh files: reading, checks, and errors with a remedy.
+"""Read and check the user's mesh files; each error names a remedy.
 
 A file is accepted or refused. Repairs that do not change the shape (merged vertices, dropped
 repeated faces) are reported. The mesh keeps the file's coordinate frame; its shading normals
@@ -126,8 +126,8 @@ def load_mesh(
 def _load_reader() -> None:
     """Load trimesh in a thread, while this thread handles Ctrl-C and SIGTERM.
 
-    The import of trimesh suppresses exceptions that signal handlers raise; Python runs these only
-    in the main thread.
+    The import of trimesh suppresses exceptions that signal handlers raise. Python runs signal
+    handlers only in the main thread.
     """
     loader = threading.Thread(target=importlib.import_module, args=("trimesh",), daemon=True)
     loader.start()
@@ -316,7 +316,7 @@ def _face_color(pieces: Sequence) -> UInt8[np.ndarray, "f 3"] | None:
 
 
 def _has_colours(piece) -> bool:
-    """Return whether a file gives colours; otherwise the reader uses a known grey."""
+    """Return whether a file has colours; without colours, the reader uses a known grey."""
     if piece.visual.kind in ("vertex", "face"):
         return True
     material = getattr(piece.visual, "material", None)

@@ -49,7 +49,7 @@ def _smooth_groups(
     # atan2 of |cross| and dot keeps its accuracy at small angles, where arccos loses it.
     n_a, n_b = face_normal[a // 3], face_normal[b // 3]
     turn = np.arctan2(np.linalg.norm(np.cross(n_a, n_b), axis=1), np.einsum("ij,ij->i", n_a, n_b))
-    # Faces with the same winding traverse their edge in opposite directions; others stay apart.
+    # Faces with the same winding traverse their edge in opposite directions; only these are joined.
     joined = (turn <= crease_rad) & (start[a] == end[b])
     a, b = a[joined], b[joined]
     following = np.roll(np.arange(3 * n).reshape(n, 3), -1, axis=1).ravel()

@@ -42,7 +42,7 @@ class Grain:
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """A surface in a few physical words.
+    """A surface, described by a few physical properties.
 
     `base_color` is linear RGB reflectance; if a `texture` (8-bit sRGB, row 0 on top, mapped by the
     mesh's uv with v up) is given, it replaces the colour. `metallic` 0 is a dielectric: diffuse
@@ -62,14 +62,14 @@ class Material:
 
     A `transparent` material is clear glass or plastic with smooth surfaces: `roughness` is unused,
     `specular` gives its index. A `solid` transmits the share `base_color` over `color_depth_m`
-    (Beer's law), a `thin` wall, whose mesh has no thickness, at each pass, at any angle.
-    `projector_reflectance` is this share at the projector's wavelength.
+    (Beer's law). A `thin` wall, whose mesh has no thickness, transmits this share at each pass, at
+    any angle. `projector_reflectance` is this share at the projector's wavelength.
 
     `film` is the roughness of a clear film over metal, such as oil or lacquer, with the index from
     `specular`. `base_color` is then the metal's reflectance in the film, less than in air.
 
-    `diffuse` is the share of a metal's light that leaves in all directions by Lambert's law, since
-    steep facets of a blasted surface or an oxide layer scatter it several times.
+    `diffuse` is the share of a metal's light that leaves in all directions by Lambert's law,
+    because steep facets of a blasted surface or an oxide layer scatter it several times.
 
     `mottle` is the relative standard deviation of the reflectance between places, for a blasted,
     cast or rolled surface. The correlation is 1/e at the distance `mottle_length_m`. The mean is
@@ -151,7 +151,7 @@ class Material:
         return 1 / (1 + MOTTLE_PEAK * self.mottle)
 
     def scaled(self, factor: float) -> "Material":
-        """Return the material for a mesh `factor` times as large; only the lathe's axis changes."""
+        """Return the material for a mesh `factor` times as large; only a lathe axis changes."""
         if self.grain is None:
             return self
         x, y, z = self.grain.point_m
@@ -189,7 +189,7 @@ class Material:
 
     @property
     def alphas(self) -> tuple[float, float]:
-        """Widths of GGX along the grain and across it."""
+        """Alpha of GGX along the grain and across it."""
         aspect = math.sqrt(1 - 0.9 * self.anisotropy)
         return self.roughness**2 * aspect, self.roughness**2 / aspect
 
@@ -266,15 +266,15 @@ class Mesh:
         return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
 
 
-_END = np.cos(np.radians(20))  # A face whose normal is nearer to the grain needs another grain.
+_END = np.cos(np.radians(20))  # A face whose normal is nearer to the grain has other grooves.
 
 
 def corner_grain(mesh: Mesh, grain: Grain) -> Float[np.ndarray, "f 3 3"]:
-    """Return the direction of grooves at each face corner, with any length, not yet in the surface.
+    """Return the direction of grooves at each face corner, neither normalised nor tangential.
 
-    On a turned part they are `axis x (corner - point)`, which is linear and so also right between
-    the corners of a face. Faces nearly across the grain have a different direction: the axis x, y
-    or z farthest from the grain on ends of a brushed part, and the axis on radial faces of a turned
+    On a turned part it is `axis x (corner - point)`, which is linear, so interpolation within a
+    face is exact. Faces nearly across the grain have a different direction: the axis x, y or z
+    farthest from the grain on ends of a brushed part, and the axis on radial faces of a turned
     part.
     """
     axis = np.array(grain.axis) / np.linalg.norm(grain.axis)
@@ -350,7 +350,7 @@ class Part:
 
 
 def glass_notes(parts: Iterable[Part]) -> tuple[str, ...]:
-    """Return a note for each part of solid glass: renders have too little light behind the part."""
+    """Return a note for each part of solid glass: renders have too little light behind it."""
     return tuple(
         f"the part {part.name} is solid glass: the projector's light does not reach what the "
         "camera sees through it, so there is no depth behind; docs/explanation/limits.md has the "

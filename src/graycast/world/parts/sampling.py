@@ -18,7 +18,7 @@ def surface_points(
     """Return surface points about `step_m` apart, and the faces' outward normals there.
 
     Each new point is the candidate farthest from all earlier points, until no candidate is farther
-    than the step, or there are `most` points (then the spacing is wider). It is not random.
+    than the step, or there are `most` points (then the spacing is wider). The result is not random.
 
     Source: Y. Eldar et al., "The farthest point strategy for progressive image sampling", 1997.
     """

@@ -1,4 +1,4 @@
-"""Solids for the built-in parts: revolved and lofted ones, and boxes with rounded edges.
+"""Solids for the built-in parts: bodies of revolution, lofts, and boxes with rounded edges.
 
 Every shape is a closed surface, counter-clockwise seen from outside, in the unit of the input.
 """
@@ -11,8 +11,8 @@ from manifold3d import Manifold
 
 from .surface import manifold_of
 
-# Each panel of a box has its outward normal, the direction to its reader's right, and up, as it is
-# read from outside, with the front towards -y. right x up = normal, so nothing is mirrored.
+# Each panel of a box has its outward normal, and the directions right and up of its print, seen
+# from outside; the front faces -y. right x up = normal, so nothing is mirrored.
 PANELS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int], tuple[int, int, int]]] = {
     "front": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
     "right": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),

@@ -10,7 +10,7 @@ from .part import Part
 # A gripper for bin picking lifts less; a steel cube of this weight is 15 cm wide.
 HEAVIEST_KG = 30.0
 USUAL_M = (0.004, 0.5)  # The usual longest side of parts for bin picking.
-PACKING = 0.5  # This share of a full bin lies within the convex hulls of its parts.
+PACKING = 0.5  # This share of a full bin is inside the convex hulls of its parts.
 
 
 def mass_kg(part: Part) -> float:

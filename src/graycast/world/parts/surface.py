@@ -147,7 +147,7 @@ def judge(surface: RawMesh, findings: list[str]) -> None:
 
 
 def as_solid(surface: RawMesh, findings: list[str]) -> RawMesh:
-    """Return the surface as that of one solid; overlapping bodies become their union."""
+    """Return the surface of one solid; overlapping bodies are replaced by their union."""
     outward, inward = shells_of(surface.vertices, surface.faces)
     joined = union_if_overlapping(outward, inward)
     if len(outward) > 1:

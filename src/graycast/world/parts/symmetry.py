@@ -11,21 +11,21 @@ from ...base.frames import rigid
 from .part import Mesh, Symmetry
 from .sampling import dense_points
 
-STEP = 0.01  # The rim of a turned body moves by at most this share of its diameter, as in BOP.
+STEP = 0.01  # From one step to the next, a point moves at most by this share of the diameter (BOP).
 SHAPE_STEP = 0.04  # Shapes are compared at points that are this share of the diameter apart.
-SHAPE_TOLERANCE = 0.01  # The surface moves by less than this share of the diameter.
+SHAPE_TOLERANCE = 0.01  # A symmetry moves the surface by less than this share of the diameter.
 LEFT = 0.98  # After a symmetry operation, at least this share of the points is on the surface.
 FOLDS = (2, 3, 4, 5, 6, 8)  # Rotations by a full turn divided by these numbers are tried.
 MOST_MOTIONS = 120  # The icosahedron, the solid with the most rotations, has 60.
 MANY = 36  # A body of revolution is symmetric under a full turn divided by this.
-# Weights of the axes in the choice of one pose of a symmetric part without a reference. With equal
-# weights, if a half turn maps a part to itself, its two poses would be equally near to the camera's
-# axes whenever it is upside down, and noise would decide.
+# These weights apply when one of the equal poses of a symmetric part is chosen without a reference.
+# With equal weights, the two poses of an upside-down part with half-turn symmetry would be equally
+# near to the camera's axes, and noise would decide.
 AXIS_WEIGHT = (3.0, 2.0, 1.0)
 
 
 def motions(symmetry: Symmetry) -> Float[np.ndarray, "n 4 4"]:
-    """Return all motions of a symmetry, the identity first; continuous ones in equal steps.
+    """Return all motions of a symmetry, the identity first; continuous symmetries in equal steps.
 
     A continuous symmetry becomes `ceil(pi / STEP)` turns, so that a point at half a diameter from
     the axis moves by at most `2 * STEP * diameter / 2` from one turn to the next. Discrete motions
@@ -47,11 +47,11 @@ def motions(symmetry: Symmetry) -> Float[np.ndarray, "n 4 4"]:
 def nearest_member(
     T: Float[np.ndarray, "4 4"], symmetry: Symmetry, *, near: Float[np.ndarray, "4 4"] | None = None
 ) -> Float[np.ndarray, "4 4"]:
-    """Return the pose that is nearest to a reference orientation among all that look the same.
+    """Return the pose nearest to a reference orientation among all poses that look the same.
 
-    Of all motions S of the symmetry, the T S with the rotation R of greatest `trace(W.T R)` is
-    taken. If W is the reference's rotation, this gives the least angle to it. Without a reference W
-    is `diag(AXIS_WEIGHT)`, so the part's axes point along the frame's.
+    If S are the motions of the symmetry, the pose T S is returned whose rotation R has the greatest
+    `trace(W.T R)`. If W is the reference's rotation, this gives the least angle to it. Without a
+    reference, W is `diag(AXIS_WEIGHT)`, so the part's axes point along the frame's axes.
 
     Leaves out: continuous axes after the first, which only a ball has. If two poses are equally
     near, noise decides; without a reference, this happens only in rare poses.

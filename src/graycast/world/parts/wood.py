@@ -23,7 +23,7 @@ def wood_texture() -> UInt8[np.ndarray, "h w 3"]:
         return field / field.std()
 
     y = np.arange(SIZE_PX)[:, None] / SIZE_PX
-    # Whole rings over the height make the edges meet; the heart line of the trunk wavers.
+    # A whole number of rings makes opposite edges match, and the noise makes the rings wavy.
     ring = 14 * y + 0.9 * noise(260.0, 60.0) + 0.12 * noise(120.0, 12.0)
     late = np.abs((ring % 1.0) - 0.5) * 2
     dark = 0.75 * late**3 + 0.10 * noise(60.0, 1.2) + 0.05 * noise(25.0, 0.7)

@@ -8,7 +8,7 @@ from mathutils import Matrix
 
 
 def place(body: bpy.types.Object, T_world: list[list[float]], *, flipped: bool = False) -> None:
-    """Put an object at a pose; `flipped` is for our devices, which look along +z, y down."""
+    """Put an object at a pose; `flipped` is for camera and projector, which look along +z."""
     T = np.array(T_world)
     if flipped:
         T = T @ np.diag([1.0, -1.0, -1.0, 1.0])

@@ -36,7 +36,7 @@ class CyclesCamera:
         self.data.update_tag()
 
     def _frame(self, *, centred: bool) -> None:
-        """Set Blender's lens and shift; the shader needs a shift of 0, which it would add."""
+        """Set Blender's lens and shift; the shift must be 0 with the shader, which has its own."""
         optics, width, height = self.optics, self.optics["width_px"], self.optics["height_px"]
         self.data.sensor_fit, self.data.sensor_width = "HORIZONTAL", SENSOR_MM
         self.data.lens = optics["fx_px"] / width * SENSOR_MM

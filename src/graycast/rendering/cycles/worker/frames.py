@@ -1,4 +1,4 @@
-"""One job: build its world once, render its frames, and write each as soon as it is complete.
+"""Render a job: build its world once, and write each frame as soon as it is complete.
 
 The file of a frame is complete or does not exist, and a frame with a file is not rendered again.
 So the next process can continue a job that was interrupted.
@@ -101,7 +101,7 @@ def _for_kind(
 
 
 def _set_samples(cycles: Any, count: int | None) -> None:
-    """Use `count` samples of Cycles' sequence after the first one; None uses only the first one.
+    """Use `count` samples of Cycles' sequence after its first sample; None uses only the first.
 
     The first sample is always the exact centre of the pixel. As one of n samples, it would bias a
     pixel at an edge by 1 / n. A run of samples that starts at a power of two is well distributed.

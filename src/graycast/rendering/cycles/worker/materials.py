@@ -82,9 +82,9 @@ class Surface:
     def _with_scattered(
         self, node: bpy.types.Node, words: dict[str, Any], base: object
     ) -> bpy.types.NodeSocket:
-        """Return a mix of a Principled shader and Lambert's law, a share of the metal's light."""
+        """Return a mix of a Principled shader and Lambertian scattering of a share of the light."""
         share = words["metallic"] * words["diffuse"]
-        if share < 1:  # The Principled shader has less metal, so that the mix has all of it.
+        if share < 1:  # With less metal in the Principled shader, the mix has the right share.
             node.inputs["Metallic"].default_value = (words["metallic"] - share) / (1 - share)
         scattered = self.nodes.new("ShaderNodeBsdfDiffuse")
         self.nodes.put(scattered.inputs["Color"], base)

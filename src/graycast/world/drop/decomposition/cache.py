@@ -1,4 +1,4 @@
-"""Files that keep hulls between runs and pass them between processes."""
+"""Read and write files that store hulls between runs and pass them between processes."""
 
 import zipfile
 from pathlib import Path
@@ -13,7 +13,7 @@ from .error import Decomposition
 def read_decomposition(file: Path) -> Decomposition | None:
     """Return the content of a cache file; None if the file is missing or damaged."""
     try:
-        # NumPy leaves a file open that it opened and cannot read, so this function opens the file.
+        # NumPy does not close a file that it cannot read, so this function opens and closes it.
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             vertices, faces = data["vertices_m"], data["faces"]
             splits = data["vertex_split"], data["face_split"]

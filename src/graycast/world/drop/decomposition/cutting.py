@@ -1,13 +1,13 @@
-"""Cutting of a solid into pieces that are convex within a tolerance.
+"""Cut a solid into pieces that are convex within a tolerance.
 
-First the solid is cut along its own flat faces: a bolt's head comes off whole, and the hulls keep
-the mesh's vertices. Then round pieces are cut into wedges, like an orange. The rest is cut by the
-best of many planes, until every piece's hull follows the body.
+First the solid is cut along its own flat faces, so that a bolt's head comes off whole and the hulls
+have the mesh's vertices. Then round pieces are cut into wedges. The rest is cut by the best of many
+planes, until every piece's hull follows the body.
 
 Leaves out: looking more than one cut ahead, as the search of CoACD does (Wei et al., "Approximate
 Convex Decomposition for 3D Meshes with Collision-Aware Concavity and Tree Search", SIGGRAPH 2022).
-On the test parts there are no more hulls than CoACD's, hulls of parts made of convex pieces are
-exact, and the error has a bound, unlike CoACD's.
+On the test parts, it makes no more hulls than CoACD, reproduces parts made of convex pieces
+exactly, and has a bounded error, unlike CoACD.
 """
 
 from collections.abc import Iterable, Iterator
@@ -22,7 +22,7 @@ from .error import LID_SAMPLES, filled_m, spread, surface_samples
 from .solid import Points
 
 REFLEX_RAD = np.radians(12)  # A smaller inward bend belongs to a facet of a round shape.
-PLANES = 12  # At most this many flat faces are tried, longest bends first.
+PLANES = 12  # At most this many flat faces are tried, those at the longest bends first.
 WORTH = 0.2  # A cut must remove at least this share of the volume that the hull adds.
 WEDGES = (3, 4, 6, 8, 12, 16, 24)  # These numbers divide the usual facet counts of round shapes.
 ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # Cuts are tried at these shares of a piece's extent.
@@ -36,7 +36,7 @@ GUESSES, FIRST_GUESSES = (
 )  # Points tested per hull: all, and the first few, which reject a bad hull early.
 DEEPEST_CUTS = 40  # After this many consecutive cuts, a piece is accepted unchanged.
 THIN = 0.02  # Sheets and slivers thinner than this share of the limit (9 um) are ignored.
-HAIR = 0.01  # A cut is this share of the thinnest sheet's thickness away from its face.
+HAIR = 0.01  # A cut is offset from its plane by this share of the thinnest sheet's thickness.
 
 Plane = tuple[Float[np.ndarray, "3"], float]
 """Unit normal n and offset d [m] of the plane n . p = d."""
@@ -130,7 +130,7 @@ def _parts(piece: Manifold, thin_m: float) -> list[Manifold]:
 
 
 def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
-    """Cut along the flat face that leaves least to fill; return no parts if the gain is small."""
+    """Cut along the flat face that leaves the least to fill; return [] if the gain is small."""
     filling = _filling(piece)
     parts, left = _best_cut(piece, _faces_at_bends(piece), filling, even=0.0, thin_m=thin_m)
     return parts if left < (1 - WORTH) * filling else []
@@ -139,7 +139,7 @@ def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
 def _cut_anywhere(
     piece: Manifold, deepest: Float[np.ndarray, "3"], thin_m: float
 ) -> list[Manifold]:
-    """Cut by the best of many planes, even for a small gain; return no parts if no plane cuts."""
+    """Cut by the best of many planes, even for a small gain; return [] if no plane cuts."""
     planes = chain(_planes_across(piece, deepest), _faces_at_bends(piece))
     parts, _ = _best_cut(piece, planes, _filling(piece), even=EVEN, thin_m=thin_m)
     return parts
@@ -148,10 +148,10 @@ def _cut_anywhere(
 def _best_cut(
     piece: Manifold, planes: Iterable[Plane], filling: float, *, even: float, thin_m: float
 ) -> tuple[list[Manifold], float]:
-    """Return the parts of the best cut, and the volume that their hulls then fill in excess.
+    """Return the parts of the best cut, and the volume that their hulls add to them.
 
-    If planes leave about the same volume, a plane with few parts of even size and a small cut wins.
-    So a plate is not split into two thinner ones with the same holes.
+    Among planes that leave about the same volume, a plane with few parts of similar size and a
+    small cut is preferred. So a plate is not split into two thinner plates with the same holes.
     """
     best, least, left = [], np.inf, np.inf
     for plane in planes:
@@ -168,7 +168,7 @@ def _best_cut(
 
 
 def _planes_across(piece: Manifold, deepest: Float[np.ndarray, "3"]) -> Iterator[Plane]:
-    """Yield planes across the principal axes, first through the middle and the deepest point."""
+    """Yield planes across the principal axes, first through the centroid and the deepest point."""
     vertices, _ = surface_of(piece)
     center, axes, _ = _principal(piece)
     for axis in axes.T:

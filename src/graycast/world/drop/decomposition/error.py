@@ -1,4 +1,4 @@
-"""The distance between convex hulls and the surface that they approximate.
+"""Measure the distance between convex hulls and the surface that they approximate.
 
 The hulls' union may reach out of the part by at most the error (so gaps that are wider than twice
 the error stay open), and may miss the surface by at most the error (no corner is lost).
@@ -26,17 +26,16 @@ SAMPLES = 20_000  # Number of points on a part's surface.
 LID_SAMPLES = 1000  # Number of points on the surface of the volume that a hull adds.
 NEAR = 48  # Distance is measured to the triangles of this many nearest samples.
 AT_A_TIME = 32  # Exact distances are computed for this many points at once.
-STEEP = 0.5  # Directions to outside points have a larger cosine to the normal.
-# A filling is only round-off if its mean thickness is less than this share of the tolerance.
+STEEP = 0.5  # Outside points have a direction with a larger cosine to the normal.
+# An added volume is only round-off if its mean thickness is below this share of the tolerance.
 _NOTHING = 1e-4
 
 
 def tolerance_m(mesh: Mesh) -> float:
-    """Return how far the hulls' union may be from the surface, by the mesh's size [m].
+    """Return the largest allowed distance between the hulls' union and a mesh's surface [m].
 
-    The size is the bounding box's diagonal.
-
-    0.5 mm up to a size of 50 mm, 1 % of it up to 100 mm, 1 mm up to 200 mm, and then 0.5 % of it.
+    It is 0.5 mm up to a bounding box diagonal of 50 mm, 1 % of the diagonal up to 100 mm, 1 mm up
+    to 200 mm, and then 0.5 % of the diagonal.
     """
     diagonal_m = float(np.linalg.norm(mesh.extent_m))
     share, most_m = MIDDLE_TOLERANCE
@@ -49,22 +48,22 @@ class MeshSamples:
 
     corner: Float[np.ndarray, "f 3 3"]
     point: Float[np.ndarray, "n 3"]
-    face: Int[np.ndarray, " n"]  # Index of the triangle on which each point lies.
+    face: Int[np.ndarray, " n"]  # Index of each point's triangle.
     normal: Float[np.ndarray, "f 3"]
     tree: cKDTree
 
     def farthest_m(self, point: Float[np.ndarray, "m 3"]) -> float:
         """Return the points' largest distance to the surface; 0 without points.
 
-        Only the triangles of the `NEAR` nearest samples count, so it may be a little too large.
+        Only the triangles of the `NEAR` nearest samples count, so the result may be too large.
         """
         return self._farthest_m(point, self.tree.query(point)[0])
 
     def outside_m(self, point: Float[np.ndarray, "m 3"]) -> float:
-        """Return the largest distance of points that are certainly outside; 0 if no point is.
+        """Return the largest distance of points that are certainly outside; 0 without such points.
 
         A point is certainly outside if it is in front of the nearest sample's triangle rather than
-        beside it.
+        to the side of it.
         """
         apart, near = self.tree.query(point)
         before = np.einsum("ni,ni->n", point - self.point[near], self.normal[self.face[near]])
@@ -74,7 +73,7 @@ class MeshSamples:
     def _farthest_m(
         self, point: Float[np.ndarray, "m 3"], most_m: Float[np.ndarray, " m"]
     ) -> float:
-        """Return the exact largest distance; the bounds `most_m` save most computations."""
+        """Return the largest distance; the upper bounds `most_m` save most computations."""
         order = np.argsort(-most_m)
         farthest, done = 0.0, 0
         while done < len(point) and farthest < most_m[order[done]]:
@@ -87,7 +86,7 @@ class MeshSamples:
 
 
 def surface_samples(solid: Manifold) -> MeshSamples:
-    """Return a surface with samples that help to find the nearest triangles."""
+    """Return a solid's triangles with sample points, which help to find the nearest triangles."""
     point, face, corner = spread(solid, SAMPLES)
     cross = _cross(corner)
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), np.finfo(float).tiny)
@@ -97,9 +96,9 @@ def surface_samples(solid: Manifold) -> MeshSamples:
 def spread(
     solid: Manifold, count: int
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, "f 3 3"]]:
-    """Return points (random by area, and triangles' middles), their triangles, and all triangles.
+    """Return points (random by area, and centroids), their triangles' indices, and all triangles.
 
-    The random numbers are fixed, so the result is a function of the solid alone.
+    The seed is fixed, so the result depends on the solid alone.
     """
     vertices, faces = surface_of(solid)
     corner = vertices[faces]
@@ -130,7 +129,7 @@ def filled_m(hull: Manifold, solid: Manifold, surface: MeshSamples) -> float:
 class Decomposition:
     """A mesh's hulls, their errors, and their tolerance [m].
 
-    `filled_m` is how far hulls reach out of the part, `lost_m` how far its surface leaves them.
+    `filled_m` is how far hulls reach out of the part, `lost_m` how far it reaches out of them.
     """
 
     hulls: tuple[Hull, ...]

@@ -77,7 +77,7 @@ class _Child:
     log: IO[str]
 
     def news(self) -> str | Decomposition:
-        """Wait for the next stage, or for the result."""
+        """Wait for the child's next stage or its result, and return it."""
         line = self.stdout.readline()
         message = json.loads(line) if line else {}
         if "stage" in message:

@@ -1,4 +1,4 @@
-"""A store of hulls, which are made once per mesh and kept."""
+"""Make the hulls of each mesh once, and store them for later runs."""
 
 import hashlib
 from collections.abc import Iterable, Iterator
@@ -21,7 +21,7 @@ from .mesh_hulls import decompose
 FEW_FACES = 20_000  # Up to this many faces, a single hull is tried without a child process.
 
 CACHE_VERSION = 3  # Raise this number when a change in this folder changes the hulls.
-# These are all constants that determine the hulls.
+# The cache key has all constants that determine the hulls.
 _SETTINGS = tuple(
     (name, value)
     for module in (error, mesh_hulls, solid, cutting)
@@ -35,12 +35,12 @@ def prepare(
 ) -> tuple[Decomposition, ...]:
     """Return the convex hulls of each part, whose union is its mesh within `tolerance_m(mesh)`.
 
-    Hulls that the cache lacks are made, once for equal meshes: a mesh that is convex within the
-    tolerance has one hull, and other meshes are cut by child processes, one per processor, which
-    end with this call. Cavities are filled. A body of so much detail that it would take too many
-    pieces or too long (`mesh_hulls.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, which
-    `progress` reports; its error is measured, and the result says whether it is `coarse`. Hulls are
-    a function of the mesh alone, in its frame.
+    Hulls that the cache lacks are made, once for equal meshes. A mesh that is convex within the
+    tolerance has one hull. Other meshes are cut by child processes, one per processor, which end
+    with this call. Cavities are filled. A body with so much detail that it would need too many
+    pieces or too much time (`mesh_hulls.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, which
+    `progress` reports. Its error is measured, and the result says whether it is `coarse`. Hulls
+    depend only on the mesh, and are in its frame.
 
     Args:
         parts: parts with closed meshes, which the loaders of parts guarantee.
@@ -64,7 +64,7 @@ def prepare(
     def keep(key: str, hulls: Decomposition) -> None:
         ready[key] = hulls
         if key in files:
-            with suppress(OSError, GraycastError):  # The next run would compute the hulls again.
+            with suppress(OSError, GraycastError):  # Then the next run makes the hulls again.
                 write_decomposition(files[key], hulls)
 
     def jobs() -> Iterator[tuple[str, Part]]:

@@ -1,4 +1,4 @@
-"""Convex hulls of a mesh: it is cut into pieces, and pieces that fit one hull are joined again."""
+"""Make the convex hulls of a mesh: cut it into pieces, and join pieces that fit one hull."""
 
 import heapq
 
@@ -17,7 +17,7 @@ from .solid import Hull, Points, bodies_of, hull_of, simplified, thinned
 # with 129 vertices (0.03 %) on nearly flat sides rocked forever; with 51 (0.3 %) it comes to rest.
 VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
 # Cutting and joining may use this share of the tolerance, minus the shift by simplifying. The rest
-# covers errors between the samples that search for the worst place.
+# is a margin for errors between the sample points at which the distance is measured.
 CUT_SHARE = 0.9
 # With more pieces a drop is too slow, and with more cuts (counted by the faces that are cut) the
 # user waits too long. At these limits the tolerance grows by this factor. A turned ring has the
@@ -28,7 +28,7 @@ _PROGRESS_EACH = 25  # Progress is reported after each group of this many pieces
 
 
 def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull, ...]:
-    """Return the hulls for `prepare`, made in this process and not yet measured.
+    """Make the hulls of a mesh in this process, without measuring their errors.
 
     Raises:
         ValueError: the mesh is not closed, or inside out.

@@ -42,9 +42,8 @@ def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
 def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
     """Return the body with fewer faces, and how far its surface may have moved [m].
 
-    The new vertices are a subset of the old ones.
-
-    The move is 0.1 of the tolerance, or up to 0.3 if more than `ENOUGH_FACES` would remain.
+    The new vertices are a subset of the old vertices. The surface moves by 0.1 of the tolerance, or
+    by up to 0.3 if more than `ENOUGH_FACES` would remain.
     """
     fewer, moved_m = body, 0.0
     for share in SIMPLIFIED_BY:
@@ -56,7 +55,7 @@ def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
 
 
 def hull_of(vertices: Float[np.ndarray, "v 3"]) -> Hull:
-    """Return the convex hull of points, faces turned outward."""
+    """Return the convex hull of points, with faces that point outward."""
     hull = ConvexHull(vertices)
     number = np.full(len(vertices), -1)
     number[hull.vertices] = np.arange(len(hull.vertices))

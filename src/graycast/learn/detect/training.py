@@ -187,8 +187,8 @@ def _encoding(sets: Sequence[Examples], spec: TrainSpec) -> Encoding:
     if probe.deep:
         near_m, far_m = spec.range_m or _range_m(sets, probe)
     size_px = fitting_size(probe.picture_px(sets[0][0]), spec.longest_px)
-    chosen = replace(probe, holes=spec.holes, relief=spec.relief, p_wrong=spec.p_wrong)
-    return replace(chosen, size_px=size_px, near_m=near_m, far_m=far_m)
+    full = replace(probe, holes=spec.holes, relief=spec.relief, p_wrong=spec.p_wrong)
+    return replace(full, size_px=size_px, near_m=near_m, far_m=far_m)
 
 
 def _range_m(sets: Sequence[Examples], probe: Encoding) -> tuple[float, float]:

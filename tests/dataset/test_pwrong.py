@@ -3,11 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from graycast.base.ply import read_vertices
 from graycast.dataset.checking import validate
 from graycast.dataset.example import probabilities
+from graycast.dataset.export import Options, Split, export
 from graycast.dataset.picture_bytes import probability_steps
 from graycast.dataset.stored import open_dataset
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
 def test_steps_are_logarithmic_from_one_to_a_ten_thousandth():
@@ -48,6 +54,7 @@ def test_a_dataset_stores_the_probability_of_each_depth(tmp_path, opened, sample
         assert np.array_equal(np.isnan(stored), np.isnan(expected))
         known = np.isfinite(expected)
         assert np.abs(np.log(stored[known] / expected[known])).max() < 0.0182
+        np.testing.assert_array_equal(scene.example().p_wrong, stored)
 
 
 def test_a_dataset_without_probabilities_is_valid_and_has_none(dataset):
@@ -64,3 +71,23 @@ def test_a_probability_without_depth_is_a_problem(tmp_path, opened, samples):
     problems = [str(problem) for problem in validate(tmp_path / "out")]
     assert len(problems) == 1
     assert "depth_sl and pwrong_sl disagree in 1 pixels" in problems[0]
+
+
+@pytest.mark.parametrize("cloud", ["ply", "pcd"])
+def test_exported_points_of_the_scanner_have_the_probability(cloud, tmp_path, opened, samples):
+    p_wrong = {i: random_probabilities(i, s.scanner_depth.depth_m) for i, s in samples.items()}
+    write(tmp_path / "out", opened, samples, p_wrong)
+    export(tmp_path / "out", tmp_path / "to", Options(format="clouds", split=Split(), cloud=cloud))
+    stored = open_dataset(tmp_path / "out").scenes[0].p_wrong()
+    expected = stored[np.isfinite(stored)]
+    files = [tmp_path / "to" / "train" / f"000000_{n}.{cloud}" for n in ("scanner", "perfect")]
+    if cloud == "ply":
+        tables = [read_vertices(file)[1] for file in files]
+        np.testing.assert_array_equal(tables[0]["p_wrong"], expected)
+        assert "p_wrong" not in tables[1]
+        return
+    head, body = files[0].read_bytes().split(b"DATA binary\n", 1)
+    assert b"FIELDS x y z rgb p_wrong\n" in head
+    points = np.frombuffer(body, "<f4").reshape(-1, 5)
+    np.testing.assert_array_equal(points[:, 4], expected)
+    assert b"p_wrong" not in files[1].read_bytes()

@@ -163,6 +163,8 @@ def _add_training(train: argparse.ArgumentParser) -> None:
     )
     relief = "Omit the input channel with the height above the neighbourhood of each pixel."
     add_option(train, "--no-relief", None, relief)
+    p_wrong = "Add an input channel with the probability that the scanner's depth is wrong."
+    add_option(train, "--p-wrong", None, p_wrong)
     add_option(
         train,
         "--range",
@@ -234,6 +236,7 @@ def _train(options: argparse.Namespace) -> None:
         longest_px=options.longest_side,
         holes=options.holes,
         relief=not options.no_relief,
+        p_wrong=options.p_wrong,
         range_m=options.range,
         epochs=options.epochs,
         batch=options.batch,

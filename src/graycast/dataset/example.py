@@ -32,6 +32,7 @@ class Example:
         gray: the scanner's white frame, 8 bit, linear.
         depth_m: perfect depth, z in the camera frame [m]; NaN where unknown.
         scanner_depth_m: depth that the scanner measured [m]; NaN where it measured nothing.
+        p_wrong: probability that the scanner's depth is wrong; NaN where it measured nothing.
         instance: index of each instance in the dataset's `scene_gt.json`.
         obj_id: object id of each instance.
         mask: the visible mask of each instance.
@@ -48,6 +49,7 @@ class Example:
     gray: arrays.UInt8Array_h_w | None = None
     depth_m: arrays.Float32Array_h_w | None = None
     scanner_depth_m: arrays.Float32Array_h_w | None = None
+    p_wrong: arrays.Float32Array_h_w | None = None
     instance: arrays.IntArray_n | None = None
     obj_id: arrays.IntArray_n | None = None
     mask: arrays.BoolArray_n_h_w | None = None

@@ -146,6 +146,7 @@ class StoredScene:
             gray=self.picture("gray_sl") if "gray_sl" in self.holds else None,
             depth_m=self.depth_m("depth") if "depth" in self.holds else None,
             scanner_depth_m=self.depth_m("depth_sl") if "depth_sl" in self.holds else None,
+            p_wrong=self.p_wrong(),
             **(label_arrays(labels, self.size_px) if "masks" in self.holds else {}),
         )
 

@@ -62,6 +62,10 @@ class EncodingSection(Settings):
         default=True,
         description="Whether a channel holds the height over the mean of the neighbourhood.",
     )
+    p_wrong: bool = Field(
+        default=False,
+        description="Whether a channel holds the probability that the scanner's depth is wrong.",
+    )
 
 
 class StudySpec(Settings):

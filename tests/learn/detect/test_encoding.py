@@ -146,3 +146,28 @@ def test_the_scanner_s_depth_is_used_if_there_is_no_perfect_depth():
     for name in ("depth", "depth_noisy"):
         np.testing.assert_allclose(deep(input=name).encode(real, seed=0)[0], 0.2, atol=1e-6)
     np.testing.assert_allclose(deep(input="depth").encode(both, seed=0)[0], -0.2, atol=1e-6)
+
+
+def test_the_channel_p_wrong_is_logarithmic_and_zero_in_holes():
+    p_wrong = np.full(SIZE, 1e-4, np.float32)
+    p_wrong[0, :4] = [1.0, 0.01, 1e-6, np.nan]
+    example = Example(scene_id=0, scanner_depth_m=np.full(SIZE, 0.8, np.float32), p_wrong=p_wrong)
+    encoding = deep(p_wrong=True, relief=True)
+    channels = encoding.encode(example, seed=0)
+    assert len(channels) == encoding.channels == 4
+    np.testing.assert_allclose(channels[3, 0, :5], [0, 0.5, 1, 0, 1], atol=1e-6)
+    plain = deep(relief=True).encode(example, seed=0)
+    np.testing.assert_array_equal(channels[:3], plain)
+
+
+def test_a_picture_without_probabilities_is_refused_only_for_the_channel_p_wrong():
+    example = scan(np.full(SIZE, 0.8))
+    assert len(deep().encode(example, seed=0)) == 2
+    with pytest.raises(GraycastError, match="scene 0 has no p_wrong"):
+        deep(p_wrong=True).encode(example, seed=0)
+
+
+def test_an_encoding_stored_before_the_channel_p_wrong_has_none():
+    record = asdict(deep())
+    del record["p_wrong"]
+    assert encoding_from(record) == deep()

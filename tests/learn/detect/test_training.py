@@ -248,6 +248,7 @@ OTHER = {
     "longest_px": 129,
     "holes": "zero",
     "relief": False,
+    "p_wrong": True,
     "range_m": (0.5, 1.0),
     "epochs": 3,
     "batch": 3,

@@ -305,6 +305,24 @@ def test_no_grip_is_planned_where_depth_is_missing():
         assert x < 120 - 0.9 * 500 * CUP.radius_m / 0.6
 
 
+def test_no_grip_is_planned_on_depth_that_is_probably_wrong():
+    """The right half of a plate is wrong with p 0.2, and its left half with p 0.05."""
+    depth_m = plate_depth()
+    mask = np.ones(depth_m.shape, bool)
+    mask[:20], mask[-20:], mask[:, :20], mask[:, -20:] = False, False, False, False
+    plain = search(depth_m, 0.5, SURE)
+    p_wrong = np.full(depth_m.shape, 0.05)
+    p_wrong[:, 120:] = 0.2
+    doubted = replace(plain, view=replace(plain.view, p_wrong=p_wrong))
+    columns = [
+        np.array([500 * g.T_cam_tool[0, 3] / g.T_cam_tool[2, 3] + 119.5 for g in s.grips(mask)])
+        for s in (plain, doubted)
+    ]
+    assert columns[0].max() > 120
+    assert len(columns[1]) and columns[1].max() < 120 - 0.9 * 500 * CUP.radius_m / 0.6
+    assert np.isfinite(doubted.view.depth_m).all()  # Obstacles remain.
+
+
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_grips():
     mask = np.zeros((200, 240), bool)

@@ -1,5 +1,7 @@
 """Fused clouds of several views, against planes and spheres in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from seen import FINE, from_above, plane_depth, sphere_depth, view
@@ -53,6 +55,32 @@ def test_weights_are_inverse_variances():
     middle = (np.abs(cloud.pixel - [30, 40]) <= 1).all(axis=1)
     assert cloud.sigma_m[middle] == pytest.approx(np.sqrt(1 / (1e8 + 1e8 / 9)), rel=1e-3)
     assert cloud.point_m[middle, 2] == pytest.approx(0.5e-3 / 10, rel=0.01)
+
+
+def doubted(one, p_wrong):
+    return replace(one, p_wrong=np.full(one.depth_m.shape, p_wrong, np.float32))
+
+
+def test_a_view_that_is_probably_wrong_hardly_moves_the_mean():
+    """Oracle: weights 1 and 1 - 0.9, in the mean and in the variance of a weighted mean."""
+    T = from_above(0.0)
+    depth_m = plane_depth(T, UP, 0.0)
+    right, wrong = view(depth_m, T, SIGMA_M), view(depth_m - 0.8e-3, T, SIGMA_M)
+    cloud = fuse([doubted(right, 0.0), doubted(wrong, 0.9)]).cloud
+    middle = (np.abs(cloud.pixel - [30, 40]) <= 1).all(axis=1)
+    assert (cloud.views[middle] == 2).all()
+    assert cloud.point_m[middle, 2] == pytest.approx(0.8e-3 * 0.1 / 1.1, rel=0.01)
+    expected = SIGMA_M * np.sqrt(1 + 0.1**2) / 1.1
+    assert cloud.sigma_m[middle] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("p_wrong", [0.0, 0.3, 1.0])
+def test_equal_doubt_in_all_views_changes_no_point(p_wrong):
+    T, rng = from_above(0.0), np.random.default_rng(5)
+    views = [view(noisy(plane_depth(T, UP, 0.0), rng), T, SIGMA_M) for _ in range(2)]
+    plain, doubtful = fuse(views).cloud, fuse([doubted(one, p_wrong) for one in views]).cloud
+    np.testing.assert_allclose(doubtful.point_m, plain.point_m, atol=1e-9)
+    np.testing.assert_allclose(doubtful.sigma_m, plain.sigma_m, rtol=1e-5)
 
 
 def test_a_point_seen_by_several_views_is_in_the_cloud_once():

@@ -127,6 +127,11 @@ def test_the_page_receives_the_result_in_its_own_formats(watched):
     assert figures["bias_mm"] == pytest.approx(0.2, abs=4 * 1.25 * 0.1 / np.sqrt(pixels))
     # Estimated by the median, a standard deviation has a relative error of 1.17 / sqrt(n).
     assert figures["sigma_mm"] == pytest.approx(0.1, rel=4 * 1.17 / np.sqrt(pixels))
+    assert "p_wrong" not in picture.arrays
+    p_wrong = np.where(np.isfinite(depth_m), 0.25, np.nan)
+    doubted = replace(content, depth=replace(content.depth, p_wrong=p_wrong))
+    arrays = picture_answer(ask, doubted, kind="look", ms=0.0, first=False).arrays
+    np.testing.assert_array_equal(np.frombuffer(arrays["p_wrong"], np.float32), p_wrong.ravel())
 
 
 def box(**words):

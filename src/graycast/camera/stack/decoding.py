@@ -53,13 +53,15 @@ class Cloud:
     """Points in the camera frame [m], with 8-bit colours from the camera's pictures.
 
     An averaged cloud has `sure_pixels`, the number of averaged camera pixels (0 if the finest bit
-    was uncertain in all pixels). Any other cloud has `sigma_m`, the standard deviation of z [m].
+    was uncertain in all pixels). Any other cloud has `sigma_m`, the standard deviation of z [m],
+    and `p_wrong`, the probability that z is wrong, if it was estimated.
     """
 
     point_m: arrays.FloatArray_n_3
     color: arrays.UInt8Array_n_3
     sure_pixels: arrays.IntArray_n | None = None
     sigma_m: arrays.FloatArray_n | None = None
+    p_wrong: arrays.FloatArray_n | None = None
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -353,7 +355,12 @@ def _rig_symptoms(
 def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"]) -> Cloud:
     known = np.isfinite(depth.depth_m)
     point_m = mask_points(rig.camera, depth.depth_m, known)
-    return Cloud(point_m=point_m, color=picture[known], sigma_m=depth.sigma_m[known])
+    return Cloud(
+        point_m=point_m,
+        color=picture[known],
+        sigma_m=depth.sigma_m[known],
+        p_wrong=None if depth.p_wrong is None else depth.p_wrong[known],
+    )
 
 
 def _joined_cloud(

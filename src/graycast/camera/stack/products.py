@@ -13,7 +13,7 @@ from .decoding import Cloud, StackResult
 
 CODE = "code.npz"  # Every result has this file.
 PREVIEW = "preview.png"
-FILES = (CODE, "light.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW)
+FILES = (CODE, "light.npz", "depth.npy", "sigma_depth.npy", "p_wrong.npy", "cloud.ply", PREVIEW)
 
 
 def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
@@ -60,6 +60,9 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
         np.save(folder / "depth.npy", result.depth.depth_m)
         np.save(folder / "sigma_depth.npy", result.depth.sigma_m)
         yield from ("depth.npy", "sigma_depth.npy")
+        if result.depth.p_wrong is not None:
+            np.save(folder / "p_wrong.npy", result.depth.p_wrong)
+            yield "p_wrong.npy"
     if result.cloud is not None:
         write_ply(result.cloud, folder / "cloud.ply")
         yield "cloud.ply"
@@ -79,12 +82,13 @@ def _save_npz(path: Path, **arrays: np.ndarray) -> None:
 
 
 def write_ply(cloud: Cloud, path: Path) -> None:
-    """Write a binary PLY with x, y, z [m, camera frame], red, green, blue, and one more property.
+    """Write a binary PLY with x, y, z [m, camera frame], red, green, blue, and more properties.
 
-    This property is `pixels` for an averaged cloud, the number of averaged camera pixels (0: all
-    uncertain), and `sigma` for any other cloud, the standard deviation of z [m].
+    They are `pixels` for an averaged cloud, the number of averaged camera pixels (0: all
+    uncertain), and `sigma` for any other cloud, the standard deviation of z [m], with `p_wrong`,
+    the probability that z is wrong, if it was estimated.
     """
-    more = {"pixels": cloud.sure_pixels, "sigma": cloud.sigma_m}
+    more = {"pixels": cloud.sure_pixels, "sigma": cloud.sigma_m, "p_wrong": cloud.p_wrong}
     known = {name: column for name, column in more.items() if column is not None}
     path.write_bytes(cloud_bytes(cloud.point_m, cloud.color, more=known))
 

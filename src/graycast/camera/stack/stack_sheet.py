@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, to_rgb
+from matplotlib.colors import LogNorm, Normalize, to_rgb
 from matplotlib.figure import Figure
 
 from ...base.plotting import save_png
@@ -20,6 +20,7 @@ DPI, TILE_PX = 100, 700
 _GAP_PX, _ABOVE_PX, _BELOW_PX = 30, 40, 84  # The space below a tile has a colour bar or a legend.
 _UNKNOWN = (0.20, 0.20, 0.22)
 _PERCENTILES = (1, 99)  # The colour scale of depth extends between these percentiles.
+_LEAST_P = 1e-4  # Smaller probabilities have the colour of this one.
 
 Paint = Callable[[Axes], None]
 
@@ -48,7 +49,10 @@ def draw_sheet(result: StackResult, path: Path) -> None:
 
 
 def _tiles(result: StackResult, step: int) -> Iterator[tuple[str, Paint]]:
-    """Yield titles and paint functions of the tiles: three, four or six, which fill their rows."""
+    """Yield titles and paint functions of the tiles: three, four or six, which fill their rows.
+
+    If both axes are coded, the probability that a depth is wrong takes the place of the noise.
+    """
     yield "picture", lambda ax: _show(ax, result.picture[::step, ::step])
     for axis in result.code.axes:
         position = result.codes.column if axis == "column" else result.codes.row
@@ -61,10 +65,13 @@ def _tiles(result: StackResult, step: int) -> Iterator[tuple[str, Paint]]:
     depth_mm = 1e3 * result.depth.depth_m[::step, ::step]
     limits = _limits(depth_mm)
     yield "depth", partial(_draw_map, depth_mm, "viridis_r", limits, "depth [mm]")
-    if len(result.code.axes) == 2:
+    p_wrong, both = result.depth.p_wrong, len(result.code.axes) == 2
+    if both == (p_wrong is None):
         sigma_mm = 1e3 * result.depth.sigma_m[::step, ::step]
         limits, label = (0.0, _limits(sigma_mm)[1]), "standard deviation of the depth [mm]"
         yield "noise of the depth", partial(_draw_map, sigma_mm, "magma", limits, label)
+    if p_wrong is not None:
+        yield "doubt of the depth", partial(_draw_doubt, p_wrong[::step, ::step])
 
 
 def _limits(values: Float[np.ndarray, "h w"]) -> tuple[float, float]:
@@ -87,10 +94,22 @@ def _draw_map(
     image = colormaps[name](np.nan_to_num(share))[..., :3]
     image[np.isnan(values)] = _UNKNOWN
     _show(ax, image)
+    _draw_bar(ax, ScalarMappable(Normalize(low, high), colormaps[name]), label)
+
+
+def _draw_doubt(p_wrong: Float[np.ndarray, "h w"], ax: Axes) -> None:
+    """Draw the probability that a depth is wrong, in logarithmic steps from 1e-4 to 1."""
+    scale = ScalarMappable(LogNorm(_LEAST_P, 1.0), colormaps["magma"])
+    image = scale.to_rgba(np.nan_to_num(p_wrong, nan=1.0).clip(_LEAST_P, 1.0))[..., :3]
+    image[np.isnan(p_wrong)] = _UNKNOWN
+    _show(ax, image)
+    _draw_bar(ax, scale, "probability that the depth is wrong")
+
+
+def _draw_bar(ax: Axes, scale: ScalarMappable, label: str) -> None:
     height_px = ax.bbox.height
     bar = ax.inset_axes((0.0, -20 / height_px, 0.55, 12 / height_px))
-    mappable = ScalarMappable(Normalize(low, high), colormaps[name])
-    ax.figure.colorbar(mappable, cax=bar, orientation="horizontal")
+    ax.figure.colorbar(scale, cax=bar, orientation="horizontal")
     bar.tick_params(labelsize=9, length=2, pad=2)
     bar.annotate(label, (1, 0.5), (14, 0), xycoords="axes fraction",
                  textcoords="offset pixels", va="center", fontsize=10)  # fmt: skip

@@ -1,10 +1,10 @@
 """Export coloured point clouds from perfect and from scanner depth, in one file each.
 
 Points are in metres in the camera frame. Each point is on the ray of its pixel, for which the
-distortion of the lens is corrected.
+distortion of the lens is corrected. The scanner's points have `p_wrong` if the dataset has it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +34,10 @@ def write_split(
             name = f"{scene.image_id:06d}_{_NAMES[depth]}.{options.cloud}"
             keep = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
             own_color = None if color is None else color[keep]
+            p_wrong = scene.p_wrong() if depth == "depth_sl" else None
+            more = {} if p_wrong is None else {"p_wrong": p_wrong[keep]}
             width_px = depth_m.shape[1] if options.organised else None
-            content = form(point_m[keep], own_color, width_px=width_px)
+            content = form(point_m[keep], own_color, more=more, width_px=width_px)
             (folder / split / name).write_bytes(content)
 
 
@@ -43,9 +45,12 @@ def pcd_bytes(
     point_m: Float[np.ndarray, "n 3"],
     color: UInt8[np.ndarray, "n 3"] | None,
     *,
+    more: Mapping[str, np.ndarray],
     width_px: int | None,
 ) -> bytes:
     """Return a binary PCD 0.7 file of the Point Cloud Library, with colour packed in a field `rgb`.
+
+    Each entry of `more` is a further field of the points, in single precision.
 
     Source: pointclouds.org, "The PCD (Point Cloud Data) file format".
     """
@@ -56,6 +61,9 @@ def pcd_bytes(
         packed = (wide[:, 0] << 16) | (wide[:, 1] << 8) | wide[:, 2]
         columns.append(packed.astype("<u4").view("<f4")[:, None])
         names.append("rgb")
+    for name, column in more.items():
+        columns.append(column.astype("<f4")[:, None])
+        names.append(name)
     width = len(point_m) if width_px is None else width_px
     head = [
         "# .PCD v0.7 - Point Cloud Data file format",

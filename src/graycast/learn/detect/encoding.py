@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...base.errors import GraycastError
-from ...dataset.example import Example
+from ...dataset.example import LEAST_LOG_P, Example
 from .networks import HOLES, INPUTS
 
 # The published backbones were trained with these means and deviations of photographs.
@@ -37,6 +37,8 @@ class Encoding:
     `near_m` to 1 at `far_m`, and clipped. If `holes` is `channel`, depth is multiplied by the share
     of the pixel with known depth, and this share is a channel; `zero` and `far` encode missing
     depth as the near or far end. `relief` adds a channel with the height above the mean nearby.
+    `p_wrong` adds a last channel: 1 where the scanner's depth is wrong with a probability of 1e-4
+    or less, 0 where it is certainly wrong or missing, and the logarithm of the probability between.
 
     A picture is scaled to fit into `size_px` and is put in its top-left corner; the rest is 0.
 
@@ -53,6 +55,7 @@ class Encoding:
     far_m: float | None = None
     holes: str = "channel"
     relief: bool = True
+    p_wrong: bool = False
 
     def __post_init__(self) -> None:
         if self.input not in INPUTS:
@@ -79,7 +82,7 @@ class Encoding:
     @property
     def channels(self) -> int:
         deep = 1 + (self.holes == "channel") + self.relief
-        return 3 * self.coloured + deep * self.deep
+        return 3 * self.coloured + deep * self.deep + self.p_wrong
 
     def scale(self, picture_px: tuple[int, int]) -> float:
         """Return the scale from a picture of this height and width to the input."""
@@ -98,6 +101,8 @@ class Encoding:
             depth_m = self.depth_m(example)
             rough = self.input == "depth_noisy" and example.depth_m is not None
             layers += self._depth(noisy(depth_m, seed=seed) if rough else depth_m)
+        if self.p_wrong:
+            layers.append(self._sureness(example))
         return np.stack(layers)
 
     def picture_px(self, example: Example) -> tuple[int, int]:
@@ -135,6 +140,15 @@ class Encoding:
             weighted = small if self.holes == "channel" else small * share
             layers.append(self._relief(weighted, share))
         return [self._placed(layer) for layer in layers]
+
+    def _sureness(self, example: Example) -> Float32[np.ndarray, "h w"]:
+        if example.p_wrong is None:
+            raise GraycastError(
+                f"scene {example.scene_id} has no p_wrong: make the dataset with max_p_wrong below "
+                "1, or train without --p-wrong"
+            )
+        p_wrong = np.nan_to_num(example.p_wrong, nan=1.0).clip(10**LEAST_LOG_P, 1.0)
+        return self._placed(self._fitted((np.log10(p_wrong) / LEAST_LOG_P).astype(np.float32)))
 
     def _relief(
         self, weighted: Float32[np.ndarray, "h w"], share: Float32[np.ndarray, "h w"]

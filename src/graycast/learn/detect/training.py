@@ -55,7 +55,7 @@ class TrainSpec:
     Attributes:
         model, backbone: name of the network, one of `networks.MODELS`, and of its backbone.
         input, longest_px: kind of the network's input, and its longer side.
-        holes, relief, range_m: fields of the encoding; if the range is None, it is measured.
+        holes, relief, p_wrong, range_m: fields of the encoding; a range of None is measured.
         epochs: number of passes over all pictures.
         batch, learning_rate: number of pictures in a step, and highest learning rate.
         seed: seed for the initial weights, the order of pictures, and the augmentation.
@@ -75,6 +75,7 @@ class TrainSpec:
     longest_px: int = 384
     holes: str = "channel"
     relief: bool = True
+    p_wrong: bool = False
     range_m: tuple[float, float] | None = None
     epochs: int = 40
     batch: int | None = None
@@ -185,14 +186,9 @@ def _encoding(sets: Sequence[Examples], spec: TrainSpec) -> Encoding:
     near_m, far_m = (None, None)
     if probe.deep:
         near_m, far_m = spec.range_m or _range_m(sets, probe)
-    return Encoding(
-        input=spec.input,
-        size_px=fitting_size(probe.picture_px(sets[0][0]), spec.longest_px),
-        near_m=near_m,
-        far_m=far_m,
-        holes=spec.holes,
-        relief=spec.relief,
-    )
+    size_px = fitting_size(probe.picture_px(sets[0][0]), spec.longest_px)
+    full = replace(probe, holes=spec.holes, relief=spec.relief, p_wrong=spec.p_wrong)
+    return replace(full, size_px=size_px, near_m=near_m, far_m=far_m)
 
 
 def _range_m(sets: Sequence[Examples], probe: Encoding) -> tuple[float, float]:

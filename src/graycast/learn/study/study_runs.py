@@ -136,6 +136,7 @@ def _trained(
         input=run.input,
         holes=run.encoding.holes,
         relief=run.encoding.relief,
+        p_wrong=run.encoding.p_wrong,
         epochs=model.epochs or spec.epochs,
         learning_rate=model.learning_rate,
         batch=spec.batch,

@@ -4,10 +4,10 @@ Grips on a mesh are computed once, in the part's frame; a part's pose moves them
 Without a model, the search follows Mahler et al., "Dex-Net 3.0", ICRA 2018, section V: it samples
 places in the mask, scores how reliably the cup seals and holds on the measured surface, and samples
 again near the best places (the cross-entropy method). Gaps in the depth are unknown surface, on
-which a cup does not seal.
+which a cup does not seal; so is depth that is probably wrong.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,6 +23,7 @@ from .suction import Cup
 
 ROUNDS = 3
 ELITE_SHARE = 0.25
+MOST_P_WRONG = 0.1  # A cup is placed only on depth that is wrong with at most this probability.
 
 
 def suction_places(
@@ -60,11 +61,25 @@ def suction_places(
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthView:
-    """The depth [m] that the robot uses (NaN if it is missing), and the pose of the camera."""
+    """The depth [m] that the robot uses (NaN if it is missing), and the pose of the camera.
+
+    `p_wrong` is the probability that a depth is wrong (NaN without depth); None if it is unknown.
+    """
 
     depth_m: Float[np.ndarray, "h w"]
     camera: Optics
     T_world_cam: Float[np.ndarray, "4 4"]
+    p_wrong: Float[np.ndarray, "h w"] | None = None
+
+    def sure(self) -> "DepthView":
+        """Return the view without depth that is probably wrong, for places of a cup.
+
+        Obstacles are all of `depth_m`, because a surface that may not exist is better avoided.
+        """
+        if self.p_wrong is None:
+            return self
+        depth_m = np.where(self.p_wrong > MOST_P_WRONG, np.nan, self.depth_m)
+        return replace(self, depth_m=depth_m, p_wrong=None)
 
     @property
     def down(self) -> Float[np.ndarray, "3"]:
@@ -119,19 +134,20 @@ class SuctionSearch:
                 the mean of the mask's points; otherwise, it is assumed to be under the cup.
             seed: seed for the places and for the random trials.
         """
-        rng, depth_m = np.random.default_rng(seed), self.view.depth_m
+        view = self.view.sure()
+        rng, depth_m = np.random.default_rng(seed), view.depth_m
         rows, columns = np.nonzero(mask & np.isfinite(depth_m))
         if len(rows) == 0:
             return []
         pixel = np.stack([columns, rows], axis=-1).astype(np.float64)
-        point = rays(self.view.camera, pixel) * depth_m[rows, columns, None]
+        point = rays(view.camera, pixel) * depth_m[rows, columns, None]
         center = np.broadcast_to(point.mean(axis=0), point.shape) if one_part else point
         estimates: dict[int, GripEstimate | None] = {}
         index = rng.choice(len(point), size=min(count, len(point)), replace=False)
         for _ in range(ROUNDS):
             for i in dict.fromkeys(index.tolist()):
                 if i not in estimates:
-                    estimates[i] = self._grip(point[i], center[i], seed)
+                    estimates[i] = self._grip(view, point[i], center[i], seed)
             score = {i: grip.score for i, grip in estimates.items() if grip is not None}
             best = sorted(score, key=score.__getitem__, reverse=True)
             best = best[: max(int(ELITE_SHARE * count), 1)]
@@ -146,10 +162,14 @@ class SuctionSearch:
         return sorted(holding, key=lambda grip: -grip.score)
 
     def _grip(
-        self, point: Float[np.ndarray, "3"], center: Float[np.ndarray, "3"], seed: int
+        self,
+        view: DepthView,
+        point: Float[np.ndarray, "3"],
+        center: Float[np.ndarray, "3"],
+        seed: int,
     ) -> GripEstimate | None:
         """Return a grip at a point; None if the surface is unknown or leans too much there."""
-        view, down = self.view, self.view.down
+        down = view.down
         normal = _normal(point, view, self.cup.radius_m)
         if normal is None or -normal @ down < np.cos(self.most_lean_rad):
             return None

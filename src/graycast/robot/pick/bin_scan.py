@@ -63,9 +63,11 @@ def scan(
         seed=noise_seed,
         metered=metered_region(base.scene, base.scanner.exposure),
     )
+    depth_m, p_wrong = _acted_on(cell, rendering, capture, depth_seed)
     return BinScan(
         view=DepthView(
-            depth_m=_acted_on(cell, rendering, capture, depth_seed),
+            depth_m=depth_m,
+            p_wrong=p_wrong,
             camera=base.scene.rig.camera,
             T_world_cam=base.scene.T_world_cam,
         ),
@@ -78,17 +80,21 @@ def scan(
 
 def _acted_on(
     cell: PickCell, rendering: Rendering, capture: Capture, seed: int
-) -> Float[np.ndarray, "h w"]:
-    """Return the depth that the robot uses: the scanner's, perfect depth, or noisy depth."""
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None]:
+    """Return the depth that the robot uses: the scanner's, perfect depth, or noisy depth.
+
+    The scanner's depth comes with the probability that it is wrong, if it is estimated.
+    """
     picking = cell.config.picking
     if picking.depth == "scanner":
         noise = rendering.radiance.path_noise
-        return measure(cell.cell.scanner, capture, path_noise=noise)[1].depth_m
+        measured = measure(cell.cell.scanner, capture, path_noise=noise)[1]
+        return measured.depth_m, measured.p_wrong
     perfect = rendering.truth.depth_m.astype(np.float64)
     if picking.depth_noise_m is None:
-        return perfect
+        return perfect, None
     noise_m = np.random.default_rng(seed).normal(0, picking.depth_noise_m, perfect.shape)
-    return np.asarray(perfect + noise_m)
+    return np.asarray(perfect + noise_m), None
 
 
 def _picture(
@@ -139,7 +145,12 @@ def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
     wanted = {name: ids.get(name, another) for name in detector.about.names}
     depth_m = shot.view.depth_m.astype(np.float32)
     example = Example(
-        scene_id=0, rgb=shot.rgb, gray=shot.gray, scanner_depth_m=depth_m, depth_m=depth_m
+        scene_id=0,
+        rgb=shot.rgb,
+        gray=shot.gray,
+        scanner_depth_m=depth_m,
+        depth_m=depth_m,
+        p_wrong=shot.view.p_wrong,
     )
     detections: Detections = detector.detect(example, obj_ids=wanted, least_score=LEAST_SCORE)
     coded = detections.mask

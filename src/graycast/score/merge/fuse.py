@@ -3,7 +3,8 @@
 Each point is projected into every other view. At that pixel, the other view measured the same
 surface (the views agree), a surface in front of the point (which hides it), a surface behind the
 point (the view saw through it), or nothing. Measurements that agree are averaged along the normal,
-weighted by their inverse variances, so N equal views reduce sigma to sigma / sqrt(N).
+weighted by their inverse variances, so N equal views reduce sigma to sigma / sqrt(N). If the
+probability that a depth is wrong is known, its weight is also multiplied by 1 - p_wrong.
 docs/explanation/merging.md has the equations.
 
 Leaves out: errors that views share (from calibration, or from interreflections), which do not
@@ -34,7 +35,7 @@ class FusedCloud:
 
     Attributes:
         normal: surface normal towards the camera of `view`; the direction to it without a plane.
-        sigma_m: standard deviation along the normal.
+        sigma_m: standard deviation along the normal, if no averaged measurement is wrong.
         view: index of the view from which the point comes.
         pixel: row and column of the point in that view.
         views: number of views that measured the place, including `view`.
@@ -156,13 +157,14 @@ def _piece(
     keep: Bool[np.ndarray, " n"],
 ) -> dict[str, np.ndarray]:
     """Return the fields of `FusedCloud` for the points that come from a view."""
-    weight = 1 / own.variance_along(own.normal)
-    moved = np.zeros_like(weight)
+    weight = own.sureness / own.variance_along(own.normal)
+    moved, noise = np.zeros_like(weight), weight * own.sureness
     for answer in answers.values():
         met = answer.met
-        one = np.where(met.agrees, 1 / met.variance_m2, 0.0)
+        one = np.where(met.agrees, met.there.sureness / met.variance_m2, 0.0)
         moved += np.where(met.agrees, met.offset_m, 0.0) * one
         weight = weight + one
+        noise = noise + np.where(met.agrees, one * met.there.sureness, 0.0)
     place = own.point_m + (moved / weight)[:, None] * own.normal
     first = np.zeros(len(keep), dtype=np.uint8) if i == 0 else _first_reason(answers[0], views[0])
     row, column = own.pixel.T
@@ -171,7 +173,7 @@ def _piece(
         "point_m": place,
         "normal": own.normal,
         "color": views[i].color[row, column],
-        "sigma_m": 1 / np.sqrt(weight),
+        "sigma_m": np.sqrt(noise) / weight,
         "view": np.full(len(keep), i, dtype=np.uint8),
         "pixel": own.pixel,
         "views": (1 + confirmed).astype(np.uint8),

@@ -78,6 +78,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
             sigma_m=sigma_m,
             reason=np.where(np.isfinite(depth_m), 0, content.reason).astype(np.uint8),
             color=content.rgb,
+            p_wrong=shot.p_wrong(),
         ),
         truth=ViewTruth(depth_m=_metres(content.depth, step_m), instance=content.label),
         noise=noise,

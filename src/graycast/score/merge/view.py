@@ -13,6 +13,7 @@ from ...rig.optics import Optics, picture_rays
 
 _WINDOW_PX = 2  # half width of the windows in which planes are fitted
 LEAST_COSINE = 0.2  # On steeper surfaces, the error of the normal exceeds the noise.
+LEAST_SURENESS = 1e-6  # A point with p_wrong 1 has this weight, because a weight of 0 has no mean.
 
 
 @final
@@ -26,6 +27,8 @@ class MeasuredView:
         sigma_m: standard deviation of z; NaN without a measurement.
         reason: number of the reason for missing depth, as in datasets; 0 for pixels with depth.
         color: colour picture in 8-bit sRGB.
+        p_wrong: probability that a depth is wrong; NaN without a measurement, and None if it was
+            not estimated.
     """
 
     name: str
@@ -35,11 +38,14 @@ class MeasuredView:
     sigma_m: Float[np.ndarray, "h w"]
     reason: UInt8[np.ndarray, "h w"]
     color: UInt8[np.ndarray, "h w 3"]
+    p_wrong: Float[np.ndarray, "h w"] | None = None
 
     def __post_init__(self) -> None:
         size = (self.camera.height_px, self.camera.width_px)
-        for name in ("depth_m", "sigma_m", "reason", "color"):
+        for name in ("depth_m", "sigma_m", "reason", "color", "p_wrong"):
             array = getattr(self, name)
+            if array is None:
+                continue
             if array.shape[:2] != size:
                 raise ValueError(f"{self.name}: {name} is {array.shape}, its camera has {size}")
             array.flags.writeable = False
@@ -60,6 +66,7 @@ class Points:
         normal: surface normal towards the camera; equal to `toward` if no plane fits.
         plane: whether a plane fits the neighbouring pixels.
         sigma_m: standard deviation along the ray.
+        sureness: probability that the depth is not wrong; 1 if it was not estimated.
         spacing_m: distance between the rays of neighbouring pixels, at the point.
     """
 
@@ -69,6 +76,7 @@ class Points:
     normal: Float[np.ndarray, "*n 3"]
     plane: Bool[np.ndarray, "*n"]
     sigma_m: Float[np.ndarray, "*n"]
+    sureness: Float[np.ndarray, "*n"]
     spacing_m: Float[np.ndarray, "*n"]
 
     def __post_init__(self) -> None:
@@ -117,8 +125,16 @@ def points_of(view: MeasuredView) -> Points:
         normal=normal,
         plane=plane,
         sigma_m=view.sigma_m * length,
+        sureness=_sureness(view),
         spacing_m=depth_m / math.sqrt(camera.fx_px * camera.fy_px),
     )
+
+
+def _sureness(view: MeasuredView) -> Float[np.ndarray, "h w"]:
+    """Return the probability that each depth is right; a wrong depth keeps a negligible weight."""
+    if view.p_wrong is None:
+        return np.where(np.isfinite(view.depth_m), 1.0, np.nan)
+    return (1 - view.p_wrong.astype(np.float64)).clip(min=LEAST_SURENESS)
 
 
 def planes_of(

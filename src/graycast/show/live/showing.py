@@ -68,6 +68,8 @@ def picture_answer(ask: Ask, page: PageContent, *, kind: str, ms: float, first: 
         "white": srgb_frame(page.capture, cell.code.brightest),
         "frame": srgb_frame(page.capture, frame),
     }
+    if depth.p_wrong is not None:
+        arrays["p_wrong"] = depth.p_wrong.astype(np.float32)
     if page.rgb is not None:
         arrays["rgb"] = page.rgb
     header = {

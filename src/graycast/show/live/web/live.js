@@ -25,6 +25,7 @@
     pointSize: 1.5,
   });
   Graycast.VIEWS.splice(-1, 1, { id: "sigma", label: "σ of depth" }); // 3D has its own place.
+  Graycast.VIEWS.push({ id: "p_wrong", label: "doubt of depth" });
   const live = { latencies: [], errors: [], painted: 0 };
   Graycast.live = live;
   let version = 0,
@@ -214,6 +215,7 @@
       depth: array("depth", Uint16Array),
       scanner: array("scanner", Uint16Array),
       sigma: array("sigma", Float32Array),
+      p_wrong: arrays.p_wrong ? array("p_wrong", Float32Array) : null,
       reason: array("reason", Uint8Array),
       instance: array("instance", Uint16Array),
       white: opaque(array("white", Uint8Array), 1),
@@ -287,6 +289,7 @@
 
   const paint = Graycast.paint;
   Graycast.paint = (of, view, now, out) => {
+    if (view === "p_wrong") return paintDoubt(of, out);
     if (view !== "sigma") return paint(of, view, now, out);
     const high = Graycast.sigmaLimit(of);
     for (let i = 0; i < of.n; i++) {
@@ -300,8 +303,24 @@
     };
   };
 
+  /** Paint the logarithm of the probability that each depth is wrong. */
+  function paintDoubt(of, out) {
+    for (let i = 0; i < of.n; i++) {
+      const p = of.p_wrong ? of.p_wrong[i] : NaN;
+      const share = 1 + Math.log10(Math.max(p, 1e-4)) / 4;
+      out.set([...(p === p ? Graycast.heat("magma", share) : [58, 60, 66]), 255], 4 * i);
+    }
+    return {
+      bar: { map: "magma", low: -4, high: 0, unit: "log10", digits: 0 },
+      note: of.p_wrong
+        ? "probability that the depth is wrong, as estimated by the scanner"
+        : "the scanner estimates this only with max_p_wrong below 1",
+    };
+  }
+
   function views() {
-    const buttons = Graycast.VIEWS.map((view) =>
+    const known = Graycast.VIEWS.filter((view) => view.id !== "p_wrong" || scene?.p_wrong);
+    const buttons = known.map((view) =>
       el(
         "button",
         {

@@ -51,6 +51,7 @@ interface Scene extends Seen {
   instance: Uint16Array; // number of the instance plus 1; 0 for none
   sigma?: Float32Array;
   sigmaHigh?: number;
+  p_wrong?: Float32Array | null;
   range?: [number, number]; // range of depth for the colours
   rgb: Uint8ClampedArray; // four bytes per pixel
   white?: Uint8ClampedArray;

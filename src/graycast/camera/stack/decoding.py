@@ -138,15 +138,8 @@ def decode_stack(
             residual_px = epipolar_residual_px(codes, first, rig)
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = epipolar_limit_px(stated_px, residual_px)
-        sure = without_doubt(
-            first,
-            pictures.frames,
-            code,
-            levels.levels,
-            codes,
-            rig,
-            max_p_wrong=spec.max_p_wrong,
-        )
+        evidence = pictures.frames, code, levels.levels, codes, rig
+        sure = without_doubt(first, *evidence, max_p_wrong=spec.max_p_wrong)
         depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
         if not diagnosis.explained:
             warnings += _rig_symptoms(codes, rig, first, residual_px)

@@ -25,7 +25,7 @@ NOTHING = object()  # No annotation accepts this value.
 # Classes that only the library makes: their arrays are checked in the functions that use them.
 RESULTS = {
     "Capture", "Cell", "CodeMap", "DepthMap", "Detections", "Example", "GroundTruth", "Layout",
-    "Radiance", "Rendering", "SceneResult", "Shot",
+    "MaterialFit", "MaterialScan", "Radiance", "Rendering", "SceneResult", "Shot",
 }  # fmt: skip
 
 

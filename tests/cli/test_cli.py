@@ -66,7 +66,8 @@ OPTIONS = {
     "dataset score-depth": "dataset --out",
     "detector train": "datasets --out --model --input --one-class --backbone --weights "
     "--longest-side --epochs --patience --batch --learning-rate --shares --split-seed "
-    "--min-visibility --holes --no-relief --range --no-flips --seed --device --threads --readers",
+    "--min-visibility --holes --no-relief --p-wrong --range --no-flips --seed --device --threads "
+    "--readers",
     "detector find": "detector pictures --out --split --as-real --scale --max-detections "
     "--min-score --drawings --device --threads",
     "detector onnx": "detector --out --max-detections --min-score --device --threads",

@@ -157,7 +157,7 @@ def simulate(folder: Path) -> None:
                 continue
             try:
                 pixels = simulated(number, renderer)
-            except DropError as error:  # Some random heaps do not fit into their random bin.
+            except (DropError, ValueError) as error:  # Some heaps do not fit into their bins.
                 print(f"scene {number} is left out: {error}", flush=True)
                 continue
             np.savez(file, names=NAMES, cues=pixels.cues, wrong=pixels.wrong)

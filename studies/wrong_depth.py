@@ -2,12 +2,13 @@
 
 python -m studies.wrong_depth scenes out/wrong_depth
 python -m studies.wrong_depth table out/wrong_depth
+python -m studies.wrong_depth check
 
 The first command simulates heaps of random parts and materials in random bins, scanned with several
 rigs and with every code, and stores the cues of random pixels with the truth. A folder that exists
 is continued. The second command fits the table, checks it on scenes that were left out, prints the
-figures, and writes `wrong.npz` into the package. docs/measurements/decoders.md judges the table
-with other parts, heaps, bins, materials and one other rig.
+figures, and writes `wrong.npz` into the package. The third command uses the table for another part
+in other heaps, with one other rig, and prints the tables of docs/measurements/wrong_depth.md.
 """
 
 import argparse
@@ -21,14 +22,25 @@ from jaxtyping import Bool, Float32
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.metrics import roc_auc_score
 
-from benchmarks.decoders import bare, pictures_of, shared_patterns
+from benchmarks.decoders import (
+    bare,
+    calibration_error,
+    pictures_of,
+    reliability,
+    roc_area,
+    shared_patterns,
+    worth,
+)
+from benchmarks.materials import MATERIALS
 from benchmarks.stages import cell_of
 from benchmarks.zoo_parts import ZOO, zoo_part
 from graycast.base.errors import DropError
+from graycast.base.tables import markdown_table
 from graycast.camera.decode import DepthMap, levels_of
 from graycast.camera.decode.evidence import CUES, NAMES, TABLE, cues_of
-from graycast.camera.scanner import Scanner, decode_capture, measure
+from graycast.camera.scanner import Scanner, decode_capture, measure, take
 from graycast.camera.sensor import Capture
+from graycast.cell.resolve import patterns_of
 from graycast.rendering import Quality, Radiance, Renderer, open_renderer
 from graycast.rig.pattern import AXES, CODECS, CodeSpec
 from graycast.rig.pattern.spec import Codec
@@ -41,10 +53,14 @@ RIGS = (
     "like-phoxi-m", "like-mech-eye-pro-s", "lab-lightcrafter-4500",
 )  # fmt: skip
 SMALL, LOW = range(70), range(100, 112)  # numbers of the scenes, by resolution
-JUDGED_PART = "metal_workpiece_1"  # docs/measurements/decoders.md uses it, so no scene here does.
+JUDGED_PART = "metal_workpiece_1"  # The third command uses it, so no scene of the table does.
 PIXELS = 4000  # pixels of each stack that are stored
 EXPOSURES = ((1.0,), (1.0, 4.0), (0.25, 1.0, 4.0))
 FOLDS = 3
+CHECKED_RIGS = ("like-phoxi-m", "like-phoxi-l", "like-zivid-2-m70")  # The last made no scene above.
+CHECKED = ("matt", "plastic", "metal 0.5", "metal 0.35", "metal 0.2")
+CHECK_SEED = 3
+LIMITS = (0.9999, 0.1, 0.05, 0.02)  # The first keeps practically all depth.
 WITHOUT_RIG = 0.1  # Share of the pixels that are given once more without the cues of a rig.
 MIRRORED, MIRRORED_PX = 0.01, (4.0, 400.0)  # Share of mirror images, and distances off the line.
 TREES: Mapping[str, Any] = {
@@ -271,11 +287,71 @@ def _in_pairs(tree: np.ndarray, first: int) -> list[tuple[int, float, bool, int]
     return nodes
 
 
+# --- check -------------------------------------------------------------------------------------
+
+
+def checked(
+    rig: str, renderer: Renderer
+) -> Iterator[tuple[list[str], tuple[np.ndarray, np.ndarray]]]:
+    """Yield a row of figures for each material, and the probabilities of all depths of parts."""
+    cell = cell_of({"count": 20, "rig": rig, "resolution": "small"})
+    layout = drop(cell.scene, (20,), seed=CHECK_SEED, limits=DropLimits())
+    own = cell.scanner
+    unguarded = [
+        replace(bare(own), decode=replace(bare(own).decode, max_p_wrong=limit)) for limit in LIMITS
+    ]
+    for name in CHECKED:
+        parts = (replace(cell.scene.parts[0], material=Material(**MATERIALS[name])),)
+        rendering = renderer.render(
+            replace(cell.scene, parts=parts),
+            layout,
+            patterns_of(own),
+            quality=Quality(samples=64),
+            seed=CHECK_SEED,
+        )
+        light, truth = rendering.radiance, rendering.truth
+        capture = take(own, light, seed=CHECK_SEED)
+        visible = truth.instance >= 0
+        depths = [
+            measure(each, capture, path_noise=light.path_noise)[1] for each in (own, *unguarded)
+        ]
+        known = visible & np.isfinite(depths[1].depth_m)
+        assert depths[1].p_wrong is not None
+        p_wrong, wrong = depths[1].p_wrong[known], depths[1].is_wrong(truth.depth_m)[known]
+        figures = [
+            worth(each.depth_m, truth.depth_m, visible, sigma_m=each.sigma_m) for each in depths
+        ]
+        cells = [f"{100 * each.decoded:.0f}; {100 * each.wrong:.1f}" for each in figures]
+        area = f"{roc_area(p_wrong, wrong):.3f}"
+        yield [rig, name, cells[1], cells[0], *cells[2:], area], (p_wrong, wrong)
+
+
+def check() -> None:
+    """Print the tables of docs/measurements/wrong_depth.md."""
+    rows, several = [], []
+    with open_renderer("mitsuba") as renderer:
+        for rig in CHECKED_RIGS:
+            for row, depths in checked(rig, renderer):
+                rows.append(row)
+                several.append(depths)
+    limits = [f"`max_p_wrong` {limit:g}" for limit in LIMITS[1:]]
+    print(markdown_table(["rig", "material", "no guards", "guards", *limits, "ROC"], rows))
+    bins = reliability(*(np.concatenate(each) for each in zip(*several, strict=True)))
+    lines = [[f"{b.mean:.4f}", f"{b.wrong:.4f}", str(b.count)] for b in bins]
+    print(markdown_table(["mean probability", "share of wrong depths", "depths"], lines))
+    print(f"expected calibration error {calibration_error(bins):.4f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("step", choices=("scenes", "table"), help="Simulate, or fit the table.")
-    parser.add_argument("folder", type=Path, help="The folder of the simulated pixels.")
+    parser.add_argument("step", choices=("scenes", "table", "check"), help="See above.")
+    parser.add_argument("folder", type=Path, nargs="?", help="The folder of the simulated pixels.")
     arguments = parser.parse_args()
+    if arguments.step == "check":
+        check()
+        return
+    if arguments.folder is None:
+        parser.error("give the folder of the simulated pixels")
     if arguments.step == "scenes":
         simulate(arguments.folder)
         return

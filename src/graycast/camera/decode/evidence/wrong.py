@@ -4,7 +4,7 @@ A depth is wrong if it is off by more than `WRONG_M` and `WRONG_SIGMAS` of its s
 evidence, `wrong.npz`, is a sum of small decision trees, which gives the logarithm of the odds of a
 wrong depth. `python -m studies.wrong_depth` makes it from simulated scenes of several scanners,
 codes, parts and materials, with `sense` of each cue as a constraint: no tree may count a better fit
-as evidence against a pixel. docs/measurements/decoders.md has its calibration on other scenes.
+as evidence against a pixel. docs/measurements/wrong_depth.md has its calibration on other scenes.
 
 Source: J. Friedman, "Greedy Function Approximation: A Gradient Boosting Machine", 2001.
 """

@@ -91,7 +91,7 @@ def test_a_section_of_a_file_has_the_limits_and_defaults_of_its_class():
     assert section.model_json_schema()["properties"]["width_px"]["description"] == "Image width."
 
 
-def test_a_section_that_changes_a_value_has_no_required_key():
+def test_every_key_is_optional_in_a_section_of_changes():
     section = changes_of(Lens, "Lens", module=__name__, about="What differs of a lens.")
     assert set(section().model_dump().values()) == {None}
     assert section(pupil_m=0.5).model_dump(exclude_none=True) == {"pupil_m": 0.5}

@@ -25,7 +25,7 @@ def row(figures, light, name):
 
 
 @pytest.mark.slow
-def test_the_ratio_of_each_class_is_reported_exactly(painted):
+def test_the_light_ratio_of_two_renderers_is_exact_for_each_material_class(painted):
     one = (0.7, 0.4, 0.5, 0.6)
     other = tuple(light * ratio for light, ratio in zip(one, RATIOS.values(), strict=True))
     first = painted(white=one)

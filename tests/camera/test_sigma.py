@@ -200,7 +200,7 @@ def test_a_linear_display_causes_no_phase_ripple(noise):
     assert ripple_px(codes_of(column), code) == {"column": 0.0}
 
 
-def test_phase_ripple_is_estimated_from_the_disagreement_of_two_periods():
+def test_a_code_with_two_periods_has_no_separate_term_for_phase_ripple():
     code = CodeSpec(
         codec="gray_phase", axes=("column",), period_px=48.0, fine_period_px=PERIOD_PX
     ).code(4096, 8)

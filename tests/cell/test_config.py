@@ -53,7 +53,7 @@ def test_the_repository_contains_example_configurations():
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
-def test_each_dataset_of_a_study_is_made_by_an_existing_configuration(path):
+def test_the_commands_at_the_head_of_a_study_name_each_of_its_datasets(path):
     """The commands in the first lines of a study make its datasets, so that it can be run."""
     spec = read_study(path)
     head = "\n".join(line for line in path.read_text().splitlines() if line.startswith("#"))

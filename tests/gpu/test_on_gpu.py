@@ -182,7 +182,7 @@ def test_live_shows_a_cell_on_the_gpu(tmp_path):
     subprocess.run(words, cwd=ROOT, check=True)
 
 
-def test_a_design_is_scanned_on_the_gpu(tmp_path):
+def test_a_rig_design_study_runs_on_the_gpu(tmp_path):
     study = tmp_path / "study.yaml"
     cell = write_cell(tmp_path)
     study.write_text(f"cell: {cell.name}\nlayouts: 1\nsweeps: [{{distance_m: [0.6]}}]\n")

@@ -10,7 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
-# `SCENE` names the streams of a dataset's seed; each image has its own streams `OF_IMAGE`.
+# `SCENE` names the random streams of a scene, `OF_IMAGE` those of each further image; the first
+# image uses the streams of its scene.
 SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")
 OF_IMAGE = ("render", "noise", "picture")
 _RESCAN = 1 << 31  # This number replaces the index of a scanner, which is always smaller.

@@ -30,7 +30,7 @@ from .rescan_command import add_rescan
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 PORT = 8337
-WIDTH_PX = 1300  # The page has the same number; a test compares both.
+WIDTH_PX = 1300  # default of --width; equal to WIDTH_PX of show/report/page
 GENERATE = """\
 If the command is stopped or killed, the same command continues the dataset, because a scene depends
 only on the configuration, the seed and the number of the scene. If a worker dies, it is replaced

@@ -107,7 +107,7 @@ def test_terms_that_a_wide_lens_determines_are_kept():
 
 
 @pytest.mark.slow
-def test_errors_of_camera_corners_do_not_change_the_relative_pose():
+def test_the_relative_pose_is_more_precise_if_the_fit_models_corner_errors_of_the_camera():
     """The code, a hundred times more precise than the corners, determines the relative pose.
 
     A fit that ignores the camera's error in the projector position loses this precision.

@@ -126,7 +126,7 @@ def test_two_workers_make_the_same_bins(picks, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_run_continues_to_the_same_bins(picks, tmp_path):
+def test_a_run_that_is_killed_and_restarted_gives_the_same_bins(picks, tmp_path):
     path, out = picks
     for _ in range(2):
         running = start("robot", "pick", path, "--out", tmp_path / "out", "--bins", 2)

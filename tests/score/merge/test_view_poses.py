@@ -95,7 +95,7 @@ def test_a_mistake_common_to_all_poses_is_named(views):
     assert "with all poses inverted they do" in doubt
 
 
-def test_the_wrong_view_of_two_cannot_be_identified(views):
+def test_with_only_two_views_the_wrong_one_cannot_be_identified(views):
     T = views[1].T_world_cam @ rigid(np.eye(3), np.array([0.0, 0.0, 1e-3]))
     (doubt,) = doubts(views[:2], v1=T)
     assert "one of the two poses is off" in doubt

@@ -92,7 +92,7 @@ def test_the_browser_refuses_the_same_rays_as_optics(page, report, rig, distorti
 
 
 @pytest.mark.parametrize("k", [(-1.5, 0.0, 0.0), (-2.0, 1.0, 0.0), (0.1, -3.0, 0.2)])
-def test_points_beyond_the_fold_of_the_lens_have_no_projector_position(page, report, rig, k):
+def test_points_beyond_the_turning_point_of_distortion_have_no_position(page, report, rig, k):
     """Oracle: `optics.project`; beyond the fold, the polynomial returns into the picture."""
     opened(page, report, 0)
     lens = replace(rig.projector, distortion=(k[0], k[1], 0.0, 0.0, k[2]))

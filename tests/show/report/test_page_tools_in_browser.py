@@ -347,7 +347,7 @@ def test_the_3d_view_starts_with_different_colours_for_parts_and_scan(page, repo
     assert len(np.unique(hue[colorful] // 4)) >= min(len(parts) - 1, 4)
 
 
-def test_depth_steps_do_not_change_the_normal_of_a_plane(page, report):
+def test_quantised_depth_does_not_change_the_normal_of_a_plane(page, report):
     """Oracle: the plane's normal; with steps of 2 mm, central differences would be 45 deg off."""
     opened(page, report, 0)
     normals = page.evaluate(

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float32, Int32, UInt8
 from ...base.kernels import kernel
 from .median import median
 
-CLEAR, OPEN, REFUSED = 0, 1, 2  # State of a pixel's count of periods, from its own phases
+# A pixel's own phases fit one period number (CLEAR), several (OPEN) or none (REFUSED).
+CLEAR, OPEN, REFUSED = 0, 1, 2
 CHOICES = 4  # The number of candidate positions of a pixel with an open count.
 REACH_PX = 2  # The neighbours are in a window of 5 x 5 pixels.
 # Phases of neighbours on one surface may differ by this share of a period. If they differ more, the

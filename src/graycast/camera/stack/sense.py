@@ -175,7 +175,7 @@ def _judge(
     moved = (1 - sign) * usable_phase - origin
     wrong = [k for k, one, other in zip(period.frames, before, after, strict=True) if one != other]
     cause = "the steps run backwards" if sign < 0 else "the steps run from another origin"
-    if len(wrong) == 2 and sorted(before) == sorted(after):  # Two pictures may be exchanged.
+    if len(wrong) == 2 and sorted(before) == sorted(after):  # Perhaps two were swapped.
         both = " and ".join(code.frames[k].name for k in wrong)
         cause = f"{both} may be exchanged, or {cause}"
     text = (

@@ -191,7 +191,7 @@ def _taken(
     mesh_m: Float[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
     """Return a mask of the pixels whose measured depth belongs to the bin."""
-    # Pixels next to a gap count, because scans have small gaps everywhere.
+    # Pixels next to a gap are kept, because scans have small gaps everywhere.
     with np.errstate(invalid="ignore"):
         other = np.abs(depth_m - mesh_m) >= REACH_M
     known = np.isfinite(depth_m) & np.isfinite(mesh_m)

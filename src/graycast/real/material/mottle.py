@@ -29,9 +29,9 @@ from .fitting import FittedValue
 
 MOTTLE_MOST = 0.5  # the largest mottle of a material
 AROUND_PX = 15  # side of the neighbourhood
-BLOCK_PX = 24  # Blocks of this side are resampled with replacement for the intervals.
+BLOCK_PX = 24  # side of the square blocks that the bootstrap redraws for confidence intervals
 LEAST_PX, LEAST_BLOCKS = 400, 8
-LIMIT = 0.4  # Pixels that are farther from their neighbourhood's median show edges, not mottle.
+LIMIT = 0.4  # A pixel whose light differs by a larger share from the local median is at an edge.
 DRAWS = 400
 FINEST = 0.3  # A finer mottle is averaged by each pixel, so that its length is not determined.
 LENGTHS = np.geomspace(FINEST, 4.0, 400)  # L in pixels; the neighbourhood removes a longer mottle.

@@ -26,7 +26,7 @@ from ..realism.scan import tiles
 Places = Mapping[str, Bool[np.ndarray, "h w"]]  # masks by `PLACES`: pixels for missing depth
 _SIGMAS = 2.0  # A row is met within this many standard deviations of the real mean.
 _LEAST_SPREAD = 0.05  # least spread as a share of the mean, because few scans may agree by chance
-_LEAST_KNOWN = 0.7  # This share of a square's differences must be known.
+_LEAST_KNOWN = 0.7  # Squares with a smaller share of known second differences are not used.
 _LEAST_SQUARES, _LEAST_TILES, _LEAST_ON_FLOOR = 5, 20, 500  # With fewer, scans differ by chance.
 _SMOOTH_M = 5e-4  # A square with a larger scatter of differences is not a smooth surface.
 PLACES = ("visible", "left", "right", "upper", "lower", "blind")

@@ -95,7 +95,8 @@ def mottle_field() -> Float32[np.ndarray, "z y x"]:
     field = erf((normal - normal.mean()) / (normal.std() * np.sqrt(2)))
     field -= field.mean()
     between = field
-    for axis in range(3):  # This gives the mean square of interpolated values.
+    # With these weights, the mean of `field * between` is the mean square after interpolation.
+    for axis in range(3):
         between = convolve1d(between, [1 / 6, 2 / 3, 1 / 6], axis=axis, mode="wrap")
     field = (field / np.sqrt((field * between).mean())).astype(np.float32)
     field.flags.writeable = False  # The cache returns the same array for the next scene.

@@ -42,7 +42,8 @@ class Render:
 
     def order(self, bands: Bands, seed: int) -> dict[str, Any]:
         """Return the render's entry in a job; `bands` has their shares of the projector's light."""
-        # Three patterns in one render use one band each, all for the same wavelength.
+        # Three patterns share one render, one per colour channel. The scene is grey at the
+        # projector's wavelength, so each channel gets all of the projector's light.
         shares = [1.0] * 3 if len(self.levels) == 3 else list(bands)
         return asdict(self) | {"bands": shares, "seed": seed}
 

@@ -141,7 +141,7 @@ class CausticTracer:
         ray = mi.Ray3f(p.origin, p.direction)
         si, p.throughput, p.rng = self.sight.first(ray, p.throughput, p.rng)
         hit = p.alive & si.is_valid()
-        if not self.sight.glass:  # Only glass continues paths from inside.
+        if not self.sight.glass:  # No path runs inside an opaque body.
             hit &= si.wi.z > 0
         before = p.odds
         p.odds = odds_on_arrival(p.odds, si, p.direction, mi.Bool(False))

@@ -61,7 +61,7 @@ class ShinyField:
         self, world: mi.Scene, light: ProjectorLight, shapes: Sequence[mi.Shape], pixels: int
     ):
         self.light = light
-        self.paths = max(1, round(PATHS_EACH * pixels))  # Paths per sample of all pixels
+        self.paths = max(1, round(PATHS_EACH * pixels))  # paths for one sample in every pixel
         number = [_number(mi.ShapePtr(shape)).numpy()[0] for shape in shapes]
         shiny = np.zeros(max(number) + 1, dtype=np.uint32)
         shiny[number] = 1

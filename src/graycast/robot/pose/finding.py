@@ -23,7 +23,9 @@ REACH = 0.75  # The search uses depth up to this share of the diameter around a 
 LEAST_POINTS = 30  # A detection must have this many points with normals.
 SCENE_POINTS = 220  # Between 1 and 4 times this many points of a detection form pairs.
 REFERENCES = 90  # number of these points that are references, which vote for poses
-CORE = 0.6  # In a box, references come from this central share of its width and height.
+# If a detection is a bounding box without a mask, references come from the central ellipse with
+# this share of the box's width and height.
+CORE = 0.6
 PEAKS = 6  # number of poses for which each reference point votes
 ALIKE = 0.15  # Poses with key points within this share of the diameter count as one.
 GUESSES = 200  # number of poses that ICP fits to the depth and that are rendered

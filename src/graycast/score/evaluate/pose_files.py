@@ -32,7 +32,9 @@ FIGURES = (
     "translation_mm",
 )
 _SHARES = FIGURES[:5]
-_UNIT = 10.0  # largest ratio of the distances of estimates and parts if their units are the same
+# If the median distance of estimates from the camera differs from the true one by a larger factor,
+# the two have different units.
+_UNIT = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

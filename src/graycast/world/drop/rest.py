@@ -107,7 +107,7 @@ def _rest(
     parts rest. A part that has left its place is damped until it rests in a new place.
     """
     poses = deque([heap.poses()], maxlen=1 + REST_LOOKS)
-    damped_looks = np.zeros(len(box_m))  # number of looks for which each part was damped
+    damped_looks = np.zeros(len(box_m))  # for how many checks in a row each part was damped
     free_looks, rests, look = 0, False, 0
     while not rests and look < _looks(patience_s):
         look += 1

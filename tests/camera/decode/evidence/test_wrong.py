@@ -38,7 +38,7 @@ def probabilities(cues, table):
     ("first", "second", "log_odds"),
     [(1.5, -1, -3), (2, -1, 0), (6, 0, 4), (0, 1, 2), (np.nan, np.nan, 2), (np.nan, -1, 1)],
 )
-def test_the_trees_of_a_table_are_added(first, second, log_odds):
+def test_the_log_odds_of_all_trees_are_summed(first, second, log_odds):
     cues = np.zeros((len(CUES), 1), np.float32)
     cues[FIRST], cues[SECOND] = first, second
     expected = 1 / (1 + np.exp(-log_odds))

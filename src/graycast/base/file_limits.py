@@ -184,7 +184,7 @@ def _stated_size(file: _File) -> tuple[int, int]:
         at = head.index(b"dataWindow\0box2i\0") + 21
         left, top, right, bottom = np.frombuffer(head, "<i4", 4, at).tolist()
         return right - left + 1, bottom - top + 1
-    if head.startswith(b"#?"):  # Radiance states "-Y rows +X columns".
+    if head.startswith(b"#?"):  # Radiance HDR files state "-Y rows +X columns".
         size = re.search(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", head)
         if size is None:
             raise ValueError("no size")

@@ -216,7 +216,7 @@ def parse_yaml(text: str, path: Path) -> Mapping[Any, Any]:
     except (
         ValueError,
         RecursionError,
-    ) as error:  # For example an impossible date, or endless brackets.
+    ) as error:  # For example an impossible date, or too deeply nested brackets.
         raise ConfigError(f"{path}: is not YAML ({error}): correct or remove that line") from error
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path}: holds no keys: give lines such as 'name: value'")

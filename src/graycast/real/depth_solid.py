@@ -17,7 +17,7 @@ from ..world.parts import Mesh
 
 STEP_M = 5e-3  # Neighbouring pixels with a larger step in depth are not joined.
 _UNDER_M = 2e-3  # The solid's sides extend this far below the ground.
-_FLAT_M = 5e-5  # A square of pixels becomes two triangles if it deviates from a plane by less.
+_FLAT_M = 5e-5  # A square of pixels that deviates less from a plane becomes two triangles.
 _LARGEST_PX = 16  # In larger squares, straight sides would differ too much from distorted ones.
 _WIDTHS = 1.7  # radius of a window in standard deviations of its Gaussian weight
 _RIDGE = 1e-3  # Ridge weight in pixels: it reduces slopes that few pixels determine.

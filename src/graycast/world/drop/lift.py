@@ -182,6 +182,6 @@ def _turn(R: Float[np.ndarray, "3 3"]) -> Vector3:
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
     twice = np.array([zy - yz, xz - zx, yx - xy])  # the axis times twice the sine of the angle
     sine, cosine = math.hypot(zy - yz, xz - zx, yx - xy) / 2, (xx + yy + zz - 1) / 2
-    if sine < 1e-6 and cosine < 0:  # At about half a turn, the sine gives no axis.
+    if sine < 1e-6 and cosine < 0:  # The sine is too small to give the axis of a half turn.
         return Rotation.from_matrix(R).as_rotvec()
     return twice * (math.atan2(sine, cosine) / (2 * sine) if sine > 1e-9 else 0.5)

@@ -37,9 +37,9 @@ SOURCE = ROOT / "src" / "graycast"
 MOST_LINES = 79_900
 # This is the number of words in README.md and in the pages of docs that people write. 44,000 words
 # describe the program without the materials of scans. 1,800 were added for fitting and using a
-# material, tables of materials and classes, a repeated scan of metal, and depth at edges. 3,400 came
-# with tables of materials for two more rigs, pictures of a PhoXi, and the probability of a wrong
-# depth; a third of them are cells of tables.
+# material, tables of materials and classes, a repeated scan of metal, and depth at edges. 3,400
+# came with tables of materials for two more rigs, pictures of a PhoXi, and the probability of a
+# wrong depth; a third of them are cells of tables.
 MOST_WORDS = 49_200
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,6 @@ from graycast.camera.decode import DecodeSpec, FilterSpec
 from graycast.camera.scanner import Scanner, take
 from graycast.camera.sensor import Capture
 from graycast.cell.resolve import patterns_of
-from graycast.dataset.raw import raw_files
-from graycast.dataset.sample import Raw
 from graycast.rendering.radiance import Radiance
 
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
@@ -155,10 +152,3 @@ def worth(
         calibration_error=calibration_error(reliability(p, wrong)),
         decoded_at_limit=decoded_at_limit(p, wrong, pixels),
     )
-
-
-def write_stack(folder: Path, scanner: Scanner, capture: Capture) -> None:
-    """Write pictures, stack.yaml and rig.yaml as a dataset with `store: frames` does."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, content in raw_files(Raw(scanner=scanner, capture=capture)):
-        (folder / Path(name).name).write_bytes(content)

@@ -10,11 +10,7 @@ from benchmarks.decoders import (
     reliability,
     roc_area,
     worth,
-    write_stack,
 )
-from graycast.camera.scanner import preset
-from graycast.camera.sensor import Capture
-from graycast.camera.stack import read_description
 
 
 def test_without_sigma_a_depth_off_by_more_than_1_mm_is_wrong():
@@ -59,13 +55,3 @@ def test_shares_count_the_pixels_of_the_parts_alone():
     assert (figures.roc_area, figures.calibration_error) == (1.0, 0.0)
     assert figures.decoded_at_limit == pytest.approx(2 / 4)
     assert worth(depth_m, true_m, parts).roc_area is None
-
-
-def test_a_written_stack_has_every_picture_and_its_description(tmp_path):
-    scanner = preset("paper", "small")
-    camera, count = scanner.rig.camera, len(scanner.light_code().frames)
-    frames = np.zeros((count, camera.height_px, camera.width_px), np.uint8)
-    write_stack(tmp_path, scanner, Capture(frames=frames, sensor=scanner.sensor, exposure_s=0.01))
-    files = [section.file for section in read_description(tmp_path / "stack.yaml").frames]
-    assert len(files) == count
-    assert all((tmp_path / file).exists() for file in [*files, "rig.yaml"])

@@ -86,7 +86,9 @@ def test_direct_light_has_full_contrast_and_no_misfit(codec):
 
 def test_the_contrast_of_two_equal_returns_is_the_closed_form():
     """Oracle: cosines that are d apart sum to one with |cos(pi d / P)| of the amplitude."""
-    code = CodeSpec(codec="gray_phase", period_px=48, fine_period_px=16, steps=4).code(*PROJECTOR)
+    code = CodeSpec(codec="gray_phase", period_px=48.0, fine_period_px=16.0, steps=4).code(
+        *PROJECTOR
+    )
     column, row = plane()
     apart_px = 5.0
     both = 0.5 * (shares(code, column, row) + shares(code, column + apart_px, row))

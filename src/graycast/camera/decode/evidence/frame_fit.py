@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from ....base.kernels import kernel
 from ....rig.pattern import AXES, Axis, Code, Frame, level_share
@@ -81,7 +81,7 @@ def _pattern(code: Code, axis: Axis) -> _Pattern:
     )
 
 
-def _edge_px(line: Float32[np.ndarray, " size"], *, sharp: bool) -> Float32[np.ndarray, " size"]:
+def _edge_px(line: Float[np.ndarray, " size"], *, sharp: bool) -> Float32[np.ndarray, " size"]:
     """Return the distance of each pixel's centre to the nearest border where brightness changes."""
     borders = np.flatnonzero(np.diff(line)) + 0.5
     if not sharp or not len(borders):

@@ -67,11 +67,13 @@ def make_scene(
     renderer: Renderer,
     progress: ProgressMeter = UNWATCHED,
 ) -> Shot:
-    """Make a scene and its first image, up to the sample; `progress` is called at each step.
+    """Make a scene and its first image, including the data to be stored (`Sample`).
+
+    Nothing is written to disk. `progress` is called at each step.
 
     Raises:
         DropError: the parts did not come to rest as required.
-        ValueError: the picture is dark, or a value is out of range.
+        ValueError: the picture is too dark, or a value is out of range.
     """
     return next(make_images(cell, scene_id, seed=seed, renderer=renderer, progress=progress))
 

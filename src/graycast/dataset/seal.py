@@ -35,7 +35,11 @@ _NOT_COMPARED = {*_UNSEALED, SUMS}  # The files themselves are compared, so thei
 
 
 def facts_of(manifest: Mapping[str, Any], sensor: str, image: int) -> dict[str, Any]:
-    """Return a manifest with the facts of one image instead of those of the first image."""
+    """Return the manifest as it applies to one image of the scene.
+
+    The keys OWN_FACTS of a manifest describe the first image. They are replaced by the values of
+    the given image; for the first image, the manifest is returned as it is.
+    """
     for further in manifest.get(FURTHER, ()):
         if (further.get("sensor", ""), further["image"]) == (sensor, image):
             own = {key: further[key] for key in OWN_FACTS if key in further}

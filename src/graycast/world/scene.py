@@ -323,7 +323,10 @@ _UPRIGHT, _LOW = (
 
 
 def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
-    """Return the bin's names, meshes and materials: the whole bin, or walls and inner floor."""
+    """Return name, mesh and material of each surface of the bin.
+
+    The bin is one surface, or two (walls and inner floor) if the floor has its own material.
+    """
     whole = bin_mesh(box)
     if box.floor is None:
         return (("bin", whole, box.material),)

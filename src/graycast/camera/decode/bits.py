@@ -214,7 +214,11 @@ def _weigh_doubts(code, law, light, margin, value, variance, rival, why):
 
 @kernel(error_model="numpy")
 def _fine_limits(noise, contrast, fine_error, scale, sure):
-    """Write two scales for signals of fine bits [1/DN]: 1 / (3 sigma), and one for blur."""
+    """Fill `sure` with two factors per pixel that normalise the signals of fine bits [1/DN].
+
+    Row 0 is 1 / (3 sigma), where sigma combines noise and `fine_error * contrast`. Row 1 is
+    1 / ((SHARP - BLURRED) * contrast); `_weigh_fine` uses it to judge blur from the coarser bit.
+    """
     for x in range(len(noise)):
         noise_dn, off_dn = noise[x] / scale, fine_error * contrast[x]
         sure[0, x] = np.float32(1 / 3) / math.sqrt(noise_dn * noise_dn + off_dn * off_dn)

@@ -282,7 +282,13 @@ class RandomizedSection(Settings):
 
 
 def _spelt_out(value: Any) -> Any:
-    """Turn a plain word into the section of that kind, with its default values."""
+    """Return the short form of a section as a mapping: "adapted" gives {"kind": "adapted"}.
+
+    Pydantic then fills in the default values. Mappings with a known kind are returned unchanged.
+
+    Raises:
+        ValueError: the kind is not one of `KINDS`.
+    """
     if isinstance(value, str):
         value = {"kind": value}
     if isinstance(value, dict) and value.get("kind") not in KINDS:

@@ -101,7 +101,10 @@ class Statistics:
 
 @dataclass(slots=True)
 class _Sums:
-    """Sums by the field names of `Statistics`; they exist during one call of `tally`."""
+    """Running totals over the pictures, which `tally` turns into `Statistics`.
+
+    Where a total becomes a field of `Statistics`, it is stored under the name of that field.
+    """
 
     counts: defaultdict[str, Counter] = field(default_factory=lambda: defaultdict(Counter))
     of_picture: defaultdict[str, defaultdict[str, Counter]] = field(

@@ -209,7 +209,7 @@ def _clear_of_steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Return a mask of the two pixels at each depth edge along the rows."""
+    """Return a mask of both pixels at each jump in depth between horizontal neighbours."""
     fall = np.pad(np.abs(np.diff(z_m, axis=1)), ((0, 0), (1, 1)))
     jump = fall[:, 1:-1] > np.maximum(fall[:, :-2], fall[:, 2:]) + _STEP_M
     return np.pad(jump, ((0, 0), (1, 0))) | np.pad(jump, ((0, 0), (0, 1)))

@@ -30,7 +30,11 @@ from .survey import survey
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Import:
-    """Result of an import: names of the pictures, in the order of scenes, and their content."""
+    """Summary of an import: the names of the pictures, in scene order, and what they contain.
+
+    `categories` are the object names, `instances` is the number of labelled instances, and `holds`
+    lists the kinds of data that were found.
+    """
 
     stems: tuple[str, ...]
     categories: tuple[str, ...]  # object ids count from 1
@@ -51,22 +55,23 @@ def import_real(
     range_m: tuple[float, float] | None = None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Import:
-    """Write real pictures as a dataset in which each picture is a scene, in the order of names.
+    """Write real pictures as a dataset, with one scene per picture, sorted by file name.
 
     Args:
         folder: folder that contains `rgb`, `gray` and `depth`, or some of these folders.
         out: a folder that does not exist or is empty.
-        files: facts that the files do not state; pictures are not undistorted.
+        files: properties that depth files do not record, such as intrinsics and scale. Lens
+            distortion is stored with the camera and not removed from the pictures.
         annotations: a COCO file or a folder of LabelMe files; None means `folder/annotations`.
         labelled: False imports pictures without annotations; the dataset then has no masks.
-        names: names of the objects in the order of their ids, for example of a simulated dataset.
+        names: object names in the order of their ids, for example those of a simulated dataset.
         range_m: near and far end of the working range of a similar scanner; depth far outside this
             range is refused.
         progress: meter that counts the written pictures.
 
     Raises:
-        GraycastError: a file is missing, damaged or contradicts another, an annotation cannot be
-            used, or `out` cannot be written.
+        GraycastError: a file is missing, is damaged or contradicts another; an annotation cannot
+            be used; or `out` cannot be written.
     """
     shots = find_shots(folder)
     labels, own_names = _labels(folder, annotations, labelled, [shot.stem for shot in shots])

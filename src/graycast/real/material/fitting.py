@@ -219,7 +219,11 @@ def scale_of(white: Reflections, reflectance: float) -> float:
 
 
 def _choose(observations: Reflections, rng: np.random.Generator) -> tuple[Reflections, float]:
-    """Return at most MOST_PIXELS pixels, evenly over half angles, and the number of windows."""
+    """Return at most MOST_PIXELS pixels, spread evenly over half angles, and the number of windows.
+
+    A window is the set of pixels from which one normal was fitted, so the number of windows, the
+    sum of `1 / area_px` over all observations, estimates how many of them are independent.
+    """
     angle = observations.half_angle_rad
     place = (angle / (angle.max() + 1e-9) * BINS).astype(int)
     members = [rng.permutation(np.flatnonzero(place == b)) for b in range(BINS)]

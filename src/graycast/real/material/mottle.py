@@ -51,7 +51,10 @@ class MottleFit:
     pixel_m: float
 
     def on(self, material: Material) -> Material:
-        """Return the material with this mottle, or with as much of it as energy allows."""
+        """Return the material with this mottle, reduced if necessary.
+
+        The mottle is limited to MOTTLE_MOST, and so that reflectance exceeds 1 nowhere.
+        """
         brightest = max(material.base_color)
         most = min(MOTTLE_MOST, (1 / brightest - 1) / MOTTLE_PEAK if brightest > 0 else MOTTLE_MOST)
         return replace(

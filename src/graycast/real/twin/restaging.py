@@ -158,7 +158,11 @@ def _without_gaps(planes: Planes, known: Bool[np.ndarray, "h w"]) -> Planes:
 def _mean(
     value: Float[np.ndarray, "h w"], counts: Bool[np.ndarray, "h w"], size_px: int
 ) -> Float[np.ndarray, "h w"]:
-    """Return the moving average over the pixels in `counts`; 0 if the square has no such pixel."""
+    """Return the mean of `value` in a square window around each pixel.
+
+    Only pixels where the mask `counts` is true are averaged; the result is 0 if the window, whose
+    side is `size_px`, contains none.
+    """
     share = ndimage.uniform_filter(counts.astype(np.float64), size_px)
     total = ndimage.uniform_filter(np.where(counts, value, 0.0), size_px)
     return np.where(share > 1e-6, total / np.maximum(share, 1e-6), 0.0)

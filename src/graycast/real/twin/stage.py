@@ -213,7 +213,14 @@ def _with_look(
     is_bin: Bool[np.ndarray, "h w"],
     look: BinLook,
 ) -> Float[np.ndarray, "*n h w"]:
-    """Scale the light at the bin's pixels by a factor, and add the weighted light of the coats."""
+    """Return the light after the bin's look is changed to `look`; other pixels are unchanged.
+
+    At the bin's pixels, the light is multiplied by `look.color`, and the light reflected by the
+    bin's glossy coat is added for the required gloss and roughness.
+
+    Args:
+        coats: light reflected only by the coat, for each increase in roughness.
+    """
     weight = _weights(sorted(coats), look)
     scaled = np.float32(look.color) * light
     for more, share in weight.items():

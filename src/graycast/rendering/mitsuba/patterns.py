@@ -1,4 +1,4 @@
-"""Patterns in as few bits as possible, and fast sums over them."""
+"""Store projector patterns in as few bits as possible, and sum the light of each pattern fast."""
 
 from dataclasses import dataclass
 
@@ -78,7 +78,10 @@ class FinePattern:
 
 
 def finest_patterns(pattern: np.ndarray, rig: Rig) -> dict[Axis, FinePattern]:
-    """Return for each axis the pattern that changes most along it; no entry without a change."""
+    """Return, for each axis, the pattern whose light varies most along it.
+
+    An axis along which no pattern varies is left out of the result.
+    """
     finest: dict[Axis, FinePattern] = {}
     middle = pattern[:, pattern.shape[1] // 2, :], pattern[:, :, pattern.shape[2] // 2]
     for axis, line in zip(AXES, middle, strict=True):

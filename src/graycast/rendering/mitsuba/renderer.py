@@ -61,9 +61,10 @@ from .truth import centre_places, truth
 
 @final
 class MitsubaRenderer(Renderer):
-    """The one-pass renderer. It keeps the last Mitsuba scene; the process keeps the device.
+    """Renderer that traces each light path once for all patterns, with Mitsuba 3.
 
-    Other images of the same scene, by other rigs or from other poses, reuse that scene.
+    The last Mitsuba scene is kept, and is reused for images of the same scene by other rigs or from
+    other poses. `close` releases the scene but not the device: a process cannot change its device.
     """
 
     name = "mitsuba"

@@ -167,7 +167,11 @@ def jaw_places(
 
 
 def _displaced(doubt: Doubt, count: int, seed: int) -> Float[np.ndarray, "k 4 4"]:
-    """Return random true poses of a tool in its planned frame, within three standard deviations."""
+    """Return random actual poses of the tool relative to its planned pose.
+
+    The first is the planned pose. Position and rotation errors are normal with the standard
+    deviations in `doubt`, and are clipped at three standard deviations on each axis.
+    """
     rng = stream(seed, 1)
     off = np.clip(rng.normal(size=(count, 6)), -3, 3)
     off[0] = 0

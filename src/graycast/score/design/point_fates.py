@@ -1,4 +1,7 @@
-"""Find the fate and the depth error of each surface point, for one setting on one heap."""
+"""Find, for each surface point of a heap, whether a scanner setting measures it, and why not.
+
+The result for a point is its `Fate`; measured points also have a depth error.
+"""
 
 from dataclasses import dataclass
 from enum import StrEnum

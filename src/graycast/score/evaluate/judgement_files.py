@@ -110,7 +110,7 @@ def summary(evaluation: Evaluation) -> str:
 
 
 def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
-    """Yield the paragraphs of the Markdown file: text, and tables of figures with intervals."""
+    """Yield the paragraphs of the Markdown file: text, and tables of scores with intervals."""
     yield "# " + evaluation.run.name
     yield _what(evaluation)
     yield from evaluation.notes

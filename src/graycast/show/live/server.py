@@ -289,7 +289,10 @@ def _kindless(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is_gone(connection: socket.socket) -> bool:
-    """Return whether the browser has closed a connection, on which it sends nothing more."""
+    """Return whether the browser has closed the connection.
+
+    The connection must be one on which the browser sends no data after its request.
+    """
     readable, _, _ = select.select([connection], [], [], 0)
     return bool(readable) and connection.recv(1, socket.MSG_PEEK) == b""
 

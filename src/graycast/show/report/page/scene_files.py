@@ -72,7 +72,13 @@ def scene_page_files(
 
 
 def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
-    """Return all captured frames in sRGB; the sensor's offset is 0 and saturation is 255."""
+    """Return all captured frames as JPEG data URLs in 8-bit sRGB.
+
+    The sensor's offset is shown as 0, and its saturation in the reference exposure as 255.
+
+    Raises:
+        ValueError: no picture was captured.
+    """
     sensor, capture = raw.scanner.sensor, raw.capture
     if capture is None:
         raise ValueError("no picture was captured")

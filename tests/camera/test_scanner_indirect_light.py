@@ -12,7 +12,7 @@ from backends import slow
 from scipy import ndimage
 
 from graycast.base.frames import pixel_grid, transform_points
-from graycast.camera.decode import FilterSpec, Reason
+from graycast.camera.decode import POSITIONED, FilterSpec, Reason
 from graycast.camera.scanner import preset, scan
 from graycast.cell.resolve import patterns_of
 from graycast.rendering import Radiance
@@ -164,3 +164,17 @@ def test_the_probability_alone_keeps_direct_light_and_no_mirror_image(scanner):
     image = scan(careful, mirrored, seed=1).depth
     assert np.isfinite(image.depth_m).mean() < 0.01
     assert (image.reason == Reason.OUTLIER).mean() > 0.5
+
+
+def test_a_pixel_that_is_removed_for_its_code_has_no_position(scanner):
+    """Stored maps of positions must agree with the stored reasons."""
+    rng = np.random.default_rng(2)
+    _, place = facing_plane(scanner)
+    away = np.stack([patches(-200, 200, rng), patches(-200, 200, rng)], axis=-1)
+    mixed = light(scanner, place, place + away, patches(0, 1, rng), spread_px=5.0)
+    result = scan(without_guards(scanner, 0.05), mixed, seed=1)
+    positioned = np.isin(result.depth.reason, POSITIONED)
+    for name in ("column", "row", "sigma_column", "sigma_row"):
+        assert np.array_equal(np.isfinite(getattr(result.codes, name)), positioned)
+    assert np.array_equal(result.codes.reason == Reason.DECODED, positioned)
+    assert (result.depth.reason[~positioned] == Reason.INTERREFLECTION).any()

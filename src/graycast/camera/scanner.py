@@ -218,13 +218,13 @@ def measure(
     """
     rig, code = scanner.rig, scanner.light_code()
     codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
-    depth = without_doubt(
+    codes, depth = without_doubt(
+        codes,
         depth,
+        rig,
         capture.frames,
         code,
         levels_of(scanner.sensor),
-        codes,
-        rig,
         max_p_wrong=scanner.decode.max_p_wrong,
     )
     light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)

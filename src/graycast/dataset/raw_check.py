@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ..base.errors import ConfigError
-from ..camera.decode import Reason
+from ..camera.decode import POSITIONED
 from ..camera.picture import gray_picture
 from ..camera.sensor import Capture
 from ..camera.stack import code_of, describe_frames, read_description
@@ -19,7 +19,6 @@ from .sample import Raw
 from .scene_folder import SceneFolder, of_sensor
 
 # A pixel with one of these reasons has a projector position, even if its depth was rejected.
-_POSITIONED = (Reason.DECODED, Reason.OUT_OF_RANGE, Reason.OUTLIER)
 _GRAY_DN = 1  # Values halfway between two steps may round differently on other processors.
 
 
@@ -113,7 +112,7 @@ def _picture_problems(
 def _code_problems(
     maps: Mapping[str, Float32[np.ndarray, "h w"]], reason: UInt8[np.ndarray, "h w"]
 ) -> Iterator[str]:
-    positioned = np.isin(reason, _POSITIONED)
+    positioned = np.isin(reason, POSITIONED)
     for name, image in maps.items():
         if image.shape != reason.shape:
             yield f"map of {name} is {image.shape}, the camera has {reason.shape}"

@@ -326,3 +326,20 @@ def test_a_phase_code_with_a_complementary_bit_needs_no_stated_stride(tmp_path):
     read = read_description(tmp_path / "STACK.yaml")
     assert yaml.safe_load(io.StringIO((tmp_path / "STACK.yaml").read_text()))["frames"]
     assert len(read.frames) == len(code.frames)
+
+
+def test_an_averaged_cloud_has_no_doubtful_pixels(tmp_path):
+    code = gray_phase(128, 96, axes=("column", "row"))
+    rig = small_rig()
+    pictures = shoot(rig, code)
+
+    def points(max_p_wrong):
+        decode = {"max_p_wrong": max_p_wrong, "doubt": 0.0}
+        stack = save(tmp_path, describe(code) | {"decode": decode}, pictures)
+        result = decode_stack(stack, rig, average=True)
+        return len(result.cloud.point_m), int(np.isfinite(result.depth.depth_m).sum())
+
+    everything, some, nothing = points(1.0), points(0.01), points(1e-9)
+    assert everything[0] > some[0] > 0.5 * everything[0]
+    assert everything[1] > some[1]
+    assert nothing == (0, 0)

@@ -15,7 +15,7 @@ evidence       the probability that a depth is wrong, from all frames and neighb
 outliers, median, filters   filters that remove or smooth depth, as devices do
 """
 
-from .evidence import without_doubt, wrong_probability
+from .evidence import without_doubt
 from .filters import filter_depth
 from .maps import (
     WRONG_M,
@@ -30,6 +30,7 @@ from .maps import (
 )
 from .positions import decode
 from .reasons import (
+    POSITIONED,
     REASON_COLOR,
     Reason,
     little_depth_note,
@@ -47,6 +48,7 @@ from .triangulation import (
 )
 
 __all__ = [
+    "POSITIONED",
     "REASON_COLOR",
     "WRONG_M",
     "WRONG_SIGMAS",
@@ -71,5 +73,4 @@ __all__ = [
     "triangulate",
     "triangulation_axis",
     "without_doubt",
-    "wrong_probability",
 ]

@@ -267,6 +267,22 @@ class CodeMap:
             if getattr(self, name) is not None:
                 getattr(self, name).flags.writeable = False
 
+    def without(
+        self, removed: arrays.BoolArray_h_w, reason: Reason | arrays.UInt8Array_any
+    ) -> "CodeMap":
+        """Return the map without the positions of some pixels.
+
+        Args:
+            reason: the reason of all removed pixels, or of each of them, row by row.
+        """
+        reasons = self.reason.copy()
+        reasons[removed] = reason
+        maps = {
+            name: np.where(removed, np.float32(np.nan), getattr(self, name))
+            for name in ("column", "row", "sigma_column", "sigma_row")
+        }
+        return replace(self, reason=reasons, **maps)
+
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,6 +23,8 @@ class Reason(IntEnum):
         OUT_OF_RANGE       triangulation.triangulate
         OUTLIER            triangulation.triangulate, filters._filter_surfaces,
                            visibility.without_hidden, believed_depth.less_outliers
+
+    `evidence.without_doubt` sets LOW_MODULATION, CONTRADICTORY, INTERREFLECTION and OUTLIER.
     """
 
     DECODED = 0
@@ -54,6 +56,9 @@ class Reason(IntEnum):
     def words(self) -> str:
         return self.label.replace("_", " ")
 
+
+# A pixel with one of these reasons has a position in the projector's picture.
+POSITIONED = (Reason.DECODED, Reason.OUT_OF_RANGE, Reason.OUTLIER)
 
 _APPEARANCE = {
     Reason.DECODED: ("#dcdad2", "there is a depth"),

@@ -129,7 +129,7 @@ def decode_stack(
     picture = _picture(pictures, code)
     clock.lap("diagnosis")
     depth = cloud = residual_px = None
-    by_noise, notes = codes, list[str]()
+    positions, by_noise, notes = codes, codes, list[str]()
     if rig is not None:
         _refuse_turned(codes, rig, path)
         warnings += _rig_size(code, rig)
@@ -138,15 +138,16 @@ def decode_stack(
             residual_px = epipolar_residual_px(codes, first, rig)
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = epipolar_limit_px(stated_px, residual_px)
-        evidence = pictures.frames, code, levels.levels, codes, rig
-        sure = without_doubt(first, *evidence, max_p_wrong=spec.max_p_wrong)
+        evidence = pictures.frames, code, levels.levels
+        positions, sure = without_doubt(codes, first, rig, *evidence, max_p_wrong=spec.max_p_wrong)
         depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
         if not diagnosis.explained:
             warnings += _rig_symptoms(codes, rig, first, residual_px)
             notes += doubts(codes, rig)
         clock.lap("triangulate")
         if average:
-            cloud = _joined_cloud(by_noise, code, rig, picture, spec.fine_bits, limit_px)
+            joined = _positions_with_depth(by_noise, first, sure)
+            cloud = _joined_cloud(joined, code, rig, picture, spec.fine_bits, limit_px)
         else:
             cloud = _pixel_cloud(depth, rig, picture)
         clock.lap("cloud")
@@ -158,7 +159,7 @@ def decode_stack(
     clock.lap("figures")
     return StackResult(
         code=code,
-        codes=codes,
+        codes=positions,
         picture=picture,
         levels=levels,
         figures=figures,
@@ -354,6 +355,12 @@ def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"])
         sigma_m=depth.sigma_m[known],
         p_wrong=None if depth.p_wrong is None else depth.p_wrong[known],
     )
+
+
+def _positions_with_depth(codes: CodeMap, before: DepthMap, after: DepthMap) -> CodeMap:
+    """Return the positions without the pixels whose depth was removed between two maps."""
+    removed = np.isfinite(before.depth_m) & np.isnan(after.depth_m)
+    return codes.without(removed, Reason.OUTLIER)
 
 
 def _joined_cloud(

@@ -8,7 +8,7 @@ wrong          from evidence to a probability, and the pixels that are removed
 """
 
 from .cues import CUES, NAMES, Cue, cues_of
-from .wrong import TABLE, Evidence, spoken_against, without_doubt, wrong_probability
+from .wrong import TABLE, Evidence, without_doubt
 
 __all__ = [
     "CUES",
@@ -17,7 +17,5 @@ __all__ = [
     "Cue",
     "Evidence",
     "cues_of",
-    "spoken_against",
     "without_doubt",
-    "wrong_probability",
 ]

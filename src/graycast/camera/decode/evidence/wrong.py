@@ -22,7 +22,7 @@ from ....base.kernels import kernel
 from ....rig.pair import Rig
 from ....rig.pattern import Code
 from ..maps import CodeMap, DepthMap, Levels
-from ..reasons import Reason
+from ..reasons import POSITIONED
 from .cues import CUES, NAMES, cues_of
 
 TABLE = "wrong.npz"
@@ -57,51 +57,37 @@ def evidence() -> Evidence:
         return Evidence(*(table[name] for name in Evidence._fields))
 
 
-def wrong_probability(
-    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
-    code: Code,
-    levels: Levels,
-    codes: CodeMap,
-    depth: DepthMap | None,
-    rig: Rig | None,
-) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "cues h w"]]:
-    """Return the probability that each depth is wrong, NaN without depth, and the cues.
-
-    Args:
-        depth: the depth of the positions in `codes`, before filters; None without a rig. Then the
-            probability is that of the position.
-    """
-    cues = cues_of(frames, code, levels, codes, depth, rig)
-    known = codes.reason == Reason.DECODED if depth is None else np.isfinite(depth.depth_m)
-    p_wrong = np.full(known.shape, np.nan, dtype=np.float32)
-    _weigh(cues, known, evidence(), p_wrong)
-    return p_wrong, cues
-
-
 def without_doubt(
+    codes: CodeMap,
     depth: DepthMap,
+    rig: Rig,
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
     code: Code,
     levels: Levels,
-    codes: CodeMap,
-    rig: Rig,
     *,
     max_p_wrong: float,
-) -> DepthMap:
-    """Return the depth with its `p_wrong`, less the pixels for which it is too large.
+) -> tuple[CodeMap, DepthMap]:
+    """Return the depth with its `p_wrong`, without the pixels for which it is too large.
 
-    A removed pixel gets the reason whose evidence counts most against it.
+    A removed pixel gets the reason whose evidence counts most against it. If that is a reason of
+    the code, the pixel has no position either, as when the decoder gives it this reason.
 
     Args:
         depth: the depth of the positions in `codes`, before filters.
         max_p_wrong: the largest accepted probability; with 1, nothing is estimated or removed.
     """
     if max_p_wrong == 1:
-        return depth
-    p_wrong, cues = wrong_probability(frames, code, levels, codes, depth, rig)
-    depth = replace(depth, p_wrong=p_wrong)
+        return codes, depth
+    cues = cues_of(frames, code, levels, codes, depth, rig)
+    p_wrong = np.full(depth.depth_m.shape, np.nan, dtype=np.float32)
+    _weigh(cues, np.isfinite(depth.depth_m), evidence(), p_wrong)
     doubtful = p_wrong > np.float32(max_p_wrong)
-    return depth.without(doubtful, spoken_against(cues[:, doubtful])) if doubtful.any() else depth
+    depth = replace(depth, p_wrong=p_wrong)
+    if not doubtful.any():
+        return codes, depth
+    depth = depth.without(doubtful, spoken_against(cues[:, doubtful]))
+    lost = doubtful & ~np.isin(depth.reason, POSITIONED)
+    return codes.without(lost, depth.reason[lost]), depth
 
 
 def spoken_against(

@@ -12,6 +12,7 @@ meeting        intersections of camera rays and projector planes, compiled
 field          pixels that the projector's picture cannot reach
 triangulation  from positions to depth
 evidence       the probability that a depth is wrong, from all frames and neighbours
+union_find     connected surfaces of pixels
 outliers, median, filters   filters that remove or smooth depth, as devices do
 """
 

@@ -21,6 +21,7 @@ from ...rig.pair import Rig
 from .maps import DepthMap, FilterSpec
 from .outliers import find_outliers
 from .reasons import Reason
+from .union_find import flatten, sizes, unite
 from .visibility import without_hidden
 
 STEP_SIGMAS = 3.0  # A change of depth of less than this many sigmas is neither a step nor steep.
@@ -289,32 +290,21 @@ def _islands(framed: _Framed, step_tan: float, island_px: int, removed) -> None:
     h, w = removed.shape
     parent = np.arange(h * w, dtype=np.int32)
     _unite(framed.z, _falls_of(framed, step_tan), framed.margin, w, parent)
-    size = np.bincount(parent, minlength=h * w)[parent].reshape(h, w)
-    removed |= (size < island_px) & ~np.isnan(framed.inside(framed.z))
+    removed |= (sizes(parent).reshape(h, w) < island_px) & ~np.isnan(framed.inside(framed.z))
 
 
 @kernel()
 def _unite(z, torn, margin, w, parent):
-    """Label each pixel with the lowest index in its island, by union-find (Tarjan, 1975)."""
+    """Label each pixel with the lowest index in its island."""
     for i in range(len(parent)):
         y, x = i // w + margin, i % w + margin
         if np.isnan(z[y, x]):
             continue
         if not np.isnan(z[y, x - 1]) and not torn[0, y, x - 1]:
-            parent[i] = _root(parent, i - 1)
+            unite(parent, i, i - 1)
         if not np.isnan(z[y - 1, x]) and not torn[1, y - 1, x]:
-            a, b = _root(parent, i), _root(parent, i - w)
-            parent[max(a, b)] = min(a, b)
-    for i in range(len(parent)):
-        parent[i] = parent[parent[i]]  # A parent has a lower index, so its parent is a root now.
-
-
-@kernel()
-def _root(parent, i):
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
+            unite(parent, i, i - w)
+    flatten(parent)
 
 
 # --- smoothing ---------------------------------------------------------------------------------

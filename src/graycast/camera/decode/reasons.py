@@ -11,7 +11,9 @@ from jaxtyping import UInt8
 class Reason(IntEnum):
     """The reason why a pixel has no depth; 0 is a pixel that has depth.
 
-    These functions set it (modules of `camera/decode`; the last one is in `camera/stack`):
+    These functions set it (modules of `camera/decode`; the last one is in `camera/stack`). A pixel
+    with a larger probability than `max_p_wrong` gets the reason of the evidence against it, which
+    `evidence/cues.py` lists.
 
         SHADOW             positions._judge_row
         LOW_MODULATION     positions._judge_row
@@ -23,8 +25,6 @@ class Reason(IntEnum):
         OUT_OF_RANGE       triangulation.triangulate
         OUTLIER            triangulation.triangulate, filters._filter_surfaces,
                            visibility.without_hidden, believed_depth.less_outliers
-
-    `evidence.without_doubt` sets LOW_MODULATION, CONTRADICTORY, INTERREFLECTION and OUTLIER.
     """
 
     DECODED = 0

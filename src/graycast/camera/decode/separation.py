@@ -4,11 +4,11 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
 from ...base.errors import DecodeError
-from ...rig.pattern import AXES, Code
+from ...rig.pattern import Code
 from .maps import Levels
 from .plan import Period, plan_axes
 
-NARROW_PX = 32.0  # Gray stripes of at most this period count as narrow.
+NARROW_PX = 32.0  # Stripes with at most this period count as narrow.
 
 
 def separate(
@@ -92,8 +92,7 @@ def _narrow(code: Code) -> tuple[list[int], list[int]]:
     for k, frame in enumerate(code.frames):
         if frame.kind != "gray":
             continue
-        finest = frame.bit if frame.xor_bit < 0 else min(frame.bit, frame.xor_bit)
-        period_px = 4 * 2**finest * code.stride_px[AXES.index(frame.axis)]
+        period_px = code.stripe_px(frame)
         if period_px > NARROW_PX:
             continue
         if (frame.axis, frame.bit, not frame.inverse) in bits:

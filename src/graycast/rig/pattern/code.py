@@ -87,6 +87,36 @@ class Code:
         """Return the number of projector pixels along an axis."""
         return {"column": self.width_px, "row": self.height_px}[axis]
 
+    def share(self, frame: Frame) -> arrays.FloatArray_n:
+        """Return the brightness of a frame, from 0 to 1, at each projector pixel along its axis.
+
+        White and black frames have a single value.
+        """
+        if frame.axis is None:
+            return level_share(frame, 1)
+        i = AXES.index(frame.axis)
+        return level_share(
+            frame,
+            self.size_px(frame.axis),
+            offset_px=self.offset_px[i],
+            stride_px=self.stride_px[i],
+        )
+
+    def stripe_px(self, frame: Frame) -> float:
+        """Return the period of a coded frame's stripes [projector px].
+
+        Of two combined bits, it is the period of the finer one.
+
+        Raises:
+            ValueError: the frame is white or black.
+        """
+        if frame.axis is None:
+            raise ValueError(f"a {frame.kind} frame has no stripes")
+        if frame.kind != "gray":
+            return frame.period_px
+        finest = frame.bit if frame.xor_bit < 0 else min(frame.bit, frame.xor_bit)
+        return 4 * 2**finest * self.stride_px[AXES.index(frame.axis)]
+
     def render(self, grey_levels: GreyLevels | None = None) -> arrays.UInt8Array_n_ph_pw:
         """Return the pictures to project, in the order of `frames`.
 
@@ -102,16 +132,7 @@ class Code:
 
     def _line(self, frame: Frame, to_levels: GreyLevels) -> UInt8[np.ndarray, "h w"]:
         """Return the repeated part of a frame: a row, a column, or (without an axis) a pixel."""
-        if frame.axis is None:
-            return to_levels(level_share(frame, 1))[None]
-        i = AXES.index(frame.axis)
-        share = level_share(
-            frame,
-            self.size_px(frame.axis),
-            offset_px=self.offset_px[i],
-            stride_px=self.stride_px[i],
-        )
-        level = to_levels(share)
+        level = to_levels(self.share(frame))
         return level[None, :] if frame.axis == "column" else level[:, None]
 
 

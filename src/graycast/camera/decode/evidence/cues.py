@@ -49,7 +49,7 @@ CUES = (
     Cue("contrast over noise", _LIGHT),  # log2
     Cue("sigma across", _LIGHT),  # log2 px
     Cue("sigma along", _LIGHT),
-    Cue("sigma of depth", _LIGHT),  # log2 mm
+    Cue("sigma of depth", _LIGHT),  # log2 m
     *(
         Cue(f"{words} {axis}", reason, sense)
         for axis in ("across", "along")
@@ -126,7 +126,9 @@ def cues_of(
     axis = triangulation_axis(rig) if rig is not None else code.axes[0]
     other: Axis = "row" if axis == "column" else "column"
     decoded = codes.reason == Reason.DECODED if depth is None else np.isfinite(depth.depth_m)
-    across, along = (_where(decoded, getattr(codes, each)) for each in (axis, other))
+    across, along = (
+        np.where(decoded, getattr(codes, each), np.nan).astype(np.float32) for each in (axis, other)
+    )
     sigma_across, sigma_along = (
         np.ascontiguousarray(getattr(codes, f"sigma_{each}"), np.float32) for each in (axis, other)
     )
@@ -164,10 +166,6 @@ def cues_of(
     for values, name in zip(cues, NAMES, strict=True):
         values[:] = maps.get(name, np.float32(np.nan))
     return cues
-
-
-def _where(decoded, place) -> Float32[np.ndarray, "h w"]:
-    return np.where(decoded, place, np.nan).astype(np.float32)
 
 
 def _contrast(frames, levels: Levels):

@@ -5,24 +5,30 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16
 
 from ....base.kernels import kernel
-from ....rig.pattern import AXES, Axis, Code, Frame, level_share
+from ....rig.pattern import Axis, Code
+from ..separation import NARROW_PX
 
-FINE_PX = 32.0  # Stripes with at most this period are fine: indirect light blurs them first.
 # A sharp frame says nothing about a position that is nearer to an edge of its stripes than the
 # first number [px] plus the second times the projector pixels that a camera pixel covers.
 EDGE_PX, EDGE_SHARE, MOST_COVERED = 0.5, 0.75, 6.0
 
 
 def fit_frames(
-    frames, code: Code, axis: Axis, place, step_px, contrast_dn
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    code: Code,
+    axis: Axis,
+    place: Float32[np.ndarray, "h w"],
+    step_px: Float32[np.ndarray, "h w"],
+    contrast_dn: Float32[np.ndarray, "h w"],
 ) -> dict[str, Float32[np.ndarray, "h w"]]:
     """Return how well the frames of an axis fit the pattern at the decoded positions.
 
-    Coarse and fine frames are fitted apart by `a + b share`. Contrasts are `b` over `contrast_dn`;
-    misfits are root mean squares of residuals, or the largest one, over `contrast_dn`.
+    Fine frames, whose narrow stripes indirect light blurs first, and coarse frames are fitted
+    separately by `a + b share`. Contrasts are `b` over `contrast_dn`; misfits are root mean squares
+    of residuals, or the largest one, over `contrast_dn`.
 
     Args:
         place: positions along the axis [px]; NaN without one.
@@ -61,14 +67,8 @@ class _Pattern(NamedTuple):
 
 
 def _pattern(code: Code, axis: Axis) -> _Pattern:
-    i = AXES.index(axis)
     own = [(k, frame) for k, frame in enumerate(code.frames) if frame.axis == axis]
-    lines = [
-        level_share(
-            frame, code.size_px(axis), offset_px=code.offset_px[i], stride_px=code.stride_px[i]
-        )
-        for _, frame in own
-    ]
+    lines = [code.share(frame) for _, frame in own]
     edges = [
         _edge_px(line, sharp=frame.kind != "phase")
         for line, (_, frame) in zip(lines, own, strict=True)
@@ -77,7 +77,7 @@ def _pattern(code: Code, axis: Axis) -> _Pattern:
         frame=np.array([k for k, _ in own]),
         share=np.array(lines, dtype=np.float32),
         edge_px=np.array(edges, dtype=np.float32),
-        fine=np.array([_stripe_px(frame, code.stride_px[i]) <= FINE_PX for _, frame in own]),
+        fine=np.array([code.stripe_px(frame) <= NARROW_PX for _, frame in own]),
     )
 
 
@@ -91,14 +91,6 @@ def _edge_px(line: Float[np.ndarray, " size"], *, sharp: bool) -> Float32[np.nda
     before = (after - 1).clip(0)
     near = np.minimum(np.abs(borders[after] - pixel), np.abs(borders[before] - pixel))
     return near.astype(np.float32)
-
-
-def _stripe_px(frame: Frame, stride_px: float) -> float:
-    """Return the period of a frame's stripes [projector px]; of a combined bit, the finer one."""
-    if frame.kind != "gray":
-        return frame.period_px
-    finest = frame.bit if frame.xor_bit < 0 else min(frame.bit, frame.xor_bit)
-    return 4 * 2**finest * stride_px
 
 
 @kernel(parallel=True, error_model="numpy")

@@ -18,7 +18,12 @@ CELL_PX = 2.0  # Side of the cells of the projector's picture in which rivals ar
 MOST_TURN = 2.0  # A larger handedness says no more than this one.
 
 
-def orientation(across, along, rig: Rig, axis: Axis) -> dict[str, Float32[np.ndarray, "h w"]]:
+def orientation(
+    across: Float32[np.ndarray, "h w"],
+    along: Float32[np.ndarray, "h w"],
+    rig: Rig,
+    axis: Axis,
+) -> dict[str, Float32[np.ndarray, "h w"]]:
     """Return how positions change from pixel to pixel, in units of a facing surface.
 
     Where a surface that faces both devices is seen directly, positions grow by one unit per pixel
@@ -66,7 +71,12 @@ def _slopes(place, slope):
 
 
 def rivals(
-    across, along, contrast_dn, depth: DepthMap, rig: Rig, axis: Axis
+    across: Float32[np.ndarray, "h w"],
+    along: Float32[np.ndarray, "h w"],
+    contrast_dn: Float32[np.ndarray, "h w"],
+    depth: DepthMap,
+    rig: Rig,
+    axis: Axis,
 ) -> dict[str, Float32[np.ndarray, "h w"]]:
     """Return how far away a brighter pixel has the same position [px], and the ratio of contrasts.
 

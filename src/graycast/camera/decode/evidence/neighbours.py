@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from ....base.kernels import kernel
+from ..union_find import flatten, sizes, unite
 
 LINE_SIGMAS, LINE_PX = 4.0, 0.25  # A pixel this near to the line of two neighbours is in line.
 SURFACE_PX = 2.5  # Neighbours whose positions differ by at most this belong to one surface.
@@ -15,7 +16,11 @@ WIDE_PX = 41  # Side of the square that counts as a pixel's surroundings.
 LEAST_SPREAD_PX = 0.1
 
 
-def look_around(place, sigma_px, contrast_dn) -> dict[str, Float32[np.ndarray, "h w"]]:
+def look_around(
+    place: Float32[np.ndarray, "h w"],
+    sigma_px: Float32[np.ndarray, "h w"],
+    contrast_dn: Float32[np.ndarray, "h w"],
+) -> dict[str, Float32[np.ndarray, "h w"]]:
     """Return how well each position fits the positions and the contrasts of 5 x 5 pixels.
 
     Lengths are in projector pixels.
@@ -43,9 +48,10 @@ def look_around(place, sigma_px, contrast_dn) -> dict[str, Float32[np.ndarray, "
 
 def surface_sizes(place: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Return the number of pixels of each pixel's surface; NaN without a position."""
-    size = np.empty(place.shape, dtype=np.float32)
-    _surface_sizes(place, np.float32(SURFACE_PX), size)
-    return size
+    parent = np.arange(place.size, dtype=np.int32)
+    _connect(place, np.float32(SURFACE_PX), parent)
+    size = sizes(parent).reshape(place.shape).astype(np.float32)
+    return np.where(np.isnan(place), np.float32(np.nan), size)
 
 
 def surroundings(place: Float32[np.ndarray, "h w"]) -> dict[str, Float32[np.ndarray, "h w"]]:
@@ -129,35 +135,14 @@ def _look_around(place, sigma, contrast_dn, around):
 
 
 @kernel()
-def _surface_sizes(place, limit, size):
-    """Write the number of pixels of each pixel's surface, by union-find (Tarjan, 1975)."""
+def _connect(place, limit, parent):
+    """Label each pixel with the lowest index in its surface."""
     h, w = place.shape
-    parent = np.arange(h * w)
     for y in range(h):
         for x in range(w):
             i = y * w + x
             if x > 0 and abs(place[y, x] - place[y, x - 1]) <= limit:
-                _unite(parent, i, i - 1)
+                unite(parent, i, i - 1)
             if y > 0 and abs(place[y, x] - place[y - 1, x]) <= limit:
-                _unite(parent, i, i - w)
-    count = np.zeros(h * w, np.int64)
-    for i in range(h * w):
-        count[_root(parent, i)] += 1
-    for y in range(h):
-        for x in range(w):
-            known = not np.isnan(place[y, x])
-            size[y, x] = count[_root(parent, y * w + x)] if known else np.float32(np.nan)
-
-
-@kernel()
-def _unite(parent, i, j):
-    a, b = _root(parent, i), _root(parent, j)
-    parent[max(a, b)] = min(a, b)
-
-
-@kernel()
-def _root(parent, i):
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
+                unite(parent, i, i - w)
+    flatten(parent)

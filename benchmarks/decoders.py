@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from graycast.camera.decode import DecodeSpec, FilterSpec
+from graycast.camera.decode import WRONG_M, WRONG_SIGMAS, DecodeSpec, FilterSpec
 from graycast.camera.scanner import Scanner, take
 from graycast.camera.sensor import Capture
 from graycast.cell.resolve import patterns_of
 from graycast.rendering.radiance import Radiance
+from graycast.score.evaluate.shares import roc_auc
 
-WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
 EDGES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)
 MOST_WRONG = 0.01
 
@@ -64,19 +64,6 @@ def is_wrong(
     off_m = np.abs(depth_m - true_m)
     wrong = off_m > WRONG_M
     return wrong if sigma_m is None else wrong & (off_m > WRONG_SIGMAS * sigma_m)
-
-
-def roc_area(p_wrong: Float[np.ndarray, " n"], wrong: Bool[np.ndarray, " n"]) -> float:
-    """Return the area under the ROC: how often a wrong depth has the higher `p_wrong`.
-
-    Equal probabilities count half. The area is NaN if all depths are right or all are wrong.
-    """
-    _, place, count = np.unique(p_wrong, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(count) - (count - 1) / 2)[place]
-    bad, good = int(wrong.sum()), int((~wrong).sum())
-    if not bad or not good:
-        return float("nan")
-    return float((rank[wrong].sum() - bad * (bad + 1) / 2) / (bad * good))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +135,7 @@ def worth(
     return Worth(
         decoded=decoded,
         wrong=share,
-        roc_area=roc_area(p, wrong),
+        roc_area=roc_auc(p, wrong),
         calibration_error=calibration_error(reliability(p, wrong)),
         decoded_at_limit=decoded_at_limit(p, wrong, pixels),
     )

@@ -20,14 +20,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32
 from sklearn.ensemble import HistGradientBoostingClassifier
-from sklearn.metrics import roc_auc_score
 
 from benchmarks.decoders import (
     bare,
     calibration_error,
     pictures_of,
     reliability,
-    roc_area,
     shared_patterns,
     worth,
 )
@@ -44,6 +42,7 @@ from graycast.cell.resolve import patterns_of
 from graycast.rendering import Quality, Radiance, Renderer, open_renderer
 from graycast.rig.pattern import AXES, CODECS, CodeSpec
 from graycast.rig.pattern.spec import Codec
+from graycast.score.evaluate.shares import roc_auc
 from graycast.world.drop import DropLimits, drop
 from graycast.world.parts import Material
 from graycast.world.scene import Layout, Scene, bin_of
@@ -322,7 +321,7 @@ def checked(
             worth(each.depth_m, truth.depth_m, visible, sigma_m=each.sigma_m) for each in depths
         ]
         cells = [f"{100 * each.decoded:.0f}; {100 * each.wrong:.1f}" for each in figures]
-        area = f"{roc_area(p_wrong, wrong):.3f}"
+        area = f"{roc_auc(p_wrong, wrong):.3f}"
         yield [rig, name, cells[1], cells[0], *cells[2:], area], (p_wrong, wrong)
 
 
@@ -358,7 +357,7 @@ def main() -> None:
     scenes = list(stored(arguments.folder))
     p_wrong, wrong = (np.concatenate(each) for each in zip(*left_out(scenes), strict=True))
     print(f"{len(scenes)} scenes, {len(wrong)} pixels, {wrong.mean():.2%} wrong")
-    print(f"left out: area under the ROC {roc_auc_score(wrong, p_wrong):.4f}")
+    print(f"left out: area under the ROC {roc_auc(p_wrong, wrong):.4f}")
     few = p_wrong <= 0.01
     print(f"p_wrong <= 0.01: {(few & ~wrong).sum() / (~wrong).sum():.1%} of the right depths,")
     print(f"{wrong[few].mean():.2%} of these depths wrong")

@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.decoders import (
-    calibration_error,
-    decoded_at_limit,
-    is_wrong,
-    reliability,
-    roc_area,
-    worth,
-)
+from benchmarks.decoders import calibration_error, decoded_at_limit, is_wrong, reliability, worth
+from graycast.score.evaluate.shares import roc_auc
 
 
 def test_without_sigma_a_depth_off_by_more_than_1_mm_is_wrong():
@@ -24,8 +18,8 @@ def test_without_sigma_a_depth_off_by_more_than_1_mm_is_wrong():
 def test_the_area_under_the_roc_counts_ordered_pairs_and_half_of_the_equal_ones():
     p_wrong = np.array([0.1, 0.4, 0.4, 0.9])
     wrong = np.array([False, False, True, True])
-    assert roc_area(p_wrong, wrong) == pytest.approx(3.5 / 4)
-    assert np.isnan(roc_area(p_wrong, np.zeros(4, bool)))
+    assert roc_auc(p_wrong, wrong) == pytest.approx(3.5 / 4)
+    assert np.isnan(roc_auc(p_wrong, np.zeros(4, bool)))
 
 
 def test_the_calibration_error_weights_each_bin_by_its_number():

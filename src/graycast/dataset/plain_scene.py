@@ -1,15 +1,16 @@
 """Read one image of a scene folder and its stored records, for the checks."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..base.frames import inverse, rigid
+from ..camera.decode import Reason
 from ..rig.optics import Optics, optics_of
 from . import records
-from .scene_folder import SceneFolder, of_sensor, picture_name
+from .scene_folder import OWN_OPTIONS, SceneFolder, of_sensor, picture_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,3 +63,12 @@ class Plain:
 
 def transform_of(rotation: list[float], translation: list[float]) -> Float[np.ndarray, "4 4"]:
     return rigid(np.array(rotation, dtype=float).reshape(3, 3), np.array(translation, dtype=float))
+
+
+def holes_disagree(image: Mapping[str, np.ndarray]) -> Iterator[str]:
+    """Yield a message for each picture of a scanner whose holes are not those of `depth_sl`."""
+    known = {"reason_sl": image["reason_sl"] == Reason.DECODED}
+    known |= {name: image[name] > 0 for name in OWN_OPTIONS if name in image}
+    for name, there in known.items():
+        if wrong := int(((image["depth_sl"] > 0) != there).sum()):
+            yield f"depth_sl and {name} disagree in {wrong} pixels on whether there is a depth"

@@ -10,10 +10,10 @@ from pycocotools import mask as coco_mask
 from ..base.errors import DatasetError
 from ..base.file_limits import parse_json
 from ..base.mask_box import mask_box
-from ..camera.decode import Reason
 from .coco import add_images, scene_coco
 from .example import known_depth
 from .places import CLAIM
+from .plain_scene import holes_disagree
 from .rescanned import RECORDS, ImageRecord, RescanClaim, changes, image_records, original_sums
 from .safe_reading import Unreadable, read_json, record_as
 from .scene_folder import (
@@ -144,12 +144,8 @@ def _image_problems(
         if image[name].shape != size or image[name].dtype != own_form(name, size)[1]:
             yield f"{name} is {image[name].shape} {image[name].dtype}, reason_sl is {size}"
             return
-    depth, reason = image["depth_sl"], image["reason_sl"]
-    if wrong := int(((depth > 0) != (reason == Reason.DECODED)).sum()):
-        yield f"depth_sl and reason_sl disagree in {wrong} pixels on whether there is a depth"
-    for name in scene.optional_pictures():
-        if wrong := int(((depth > 0) != (image[name] > 0)).sum()):
-            yield f"depth_sl and {name} disagree in {wrong} pixels on whether there is a depth"
+    depth = image["depth_sl"]
+    yield from holes_disagree(image)
     if entries["scene_camera_sl"]["depth_scale"] != claim.depth_scale_mm:
         yield f"its depth_scale is not {CLAIM}'s {claim.depth_scale_mm}"
     yield from _mask_problems(scene, number, entries, depth)

@@ -12,7 +12,7 @@ from ..camera.decode import Reason
 from . import records
 from .mask_check import mask_problems
 from .places import camera_file
-from .plain_scene import Model, Plain, transform_of
+from .plain_scene import Model, Plain, holes_disagree, transform_of
 from .raw_check import raw_problems
 from .safe_reading import Form, Unreadable, png_kind
 from .scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
@@ -212,13 +212,7 @@ def _scanner_problems(scene: Plain) -> Iterator[str]:
     if scene.scanner.reasons != table:
         name = scene.json_name("scene_sl")
         yield f"{name}: reasons are {scene.scanner.reasons}, known are {table}"
-    reason, depth = scene.image["reason_sl"], scene.image["depth_sl"]
+    reason = scene.image["reason_sl"]
     if not np.isin(reason, list(table.values())).all():
         yield f"{scene.name('reason_sl')} has the unknown value {reason.max()}"
-    wrong = int(((depth > 0) != (reason == Reason.DECODED)).sum())
-    if wrong:
-        yield f"depth_sl and reason_sl disagree in {wrong} pixels on whether there is a depth"
-    if "pwrong_sl" in scene.image:
-        wrong = int(((depth > 0) != (scene.image["pwrong_sl"] > 0)).sum())
-        if wrong:
-            yield f"depth_sl and pwrong_sl disagree in {wrong} pixels on whether there is a depth"
+    yield from holes_disagree(scene.image)

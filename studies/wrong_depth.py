@@ -52,7 +52,7 @@ RIGS = (
     "like-phoxi-m", "like-mech-eye-pro-s", "lab-lightcrafter-4500",
 )  # fmt: skip
 SMALL, LOW = range(70), range(100, 112)  # numbers of the scenes, by resolution
-JUDGED_PART = "metal_workpiece_1"  # The third command uses it, so no scene of the table does.
+CHECK_PART = "metal_workpiece_1"  # The third command uses it, so no scene of the table does.
 PIXELS = 4000  # pixels of each stack that are stored
 EXPOSURES = ((1.0,), (1.0, 4.0), (0.25, 1.0, 4.0))
 FOLDS = 3
@@ -90,7 +90,7 @@ def random_material(rng: np.random.Generator) -> Material:
 
 def random_heap(scene: Scene, rng: np.random.Generator, *, seed: int) -> tuple[Scene, Layout]:
     """Return a bin of random size and material with a heap of one to three kinds of parts."""
-    names = [name for name in ZOO if name != JUDGED_PART]
+    names = [name for name in ZOO if name != CHECK_PART]
     kinds = [str(rng.choice(names)) for _ in range(int(rng.integers(1, 4)))]
     materials = [random_material(rng) for _ in kinds]
     if rng.random() < 0.5:  # Heaps of one kind of metal have most light from other surfaces.

@@ -81,7 +81,7 @@ def pick(
     Args:
         out: the folder of picks. It is created, or continued if it has the same cell and seed.
         device: device of the renderer.
-        on_result, on_failed: functions that receive each result, and each failed attempt at a bin.
+        on_result: receives each result.
         on_failed: receives each failed attempt at a bin, with the reason.
 
     Returns:

@@ -134,6 +134,7 @@ _FREE = (
     _free("sensor.dark_current_e_s", "dark current", 0, 2000, 1, unit="e\N{MINUS SIGN}/s"),
     _free("sensor.prnu", "pixels' gains differ by", 0, 0.1, 0.001),
     _free("sensor.dsnu_e", "pixels' offsets differ by", 0, 60, 0.5, unit="e\N{MINUS SIGN}"),
+    _free("decode.max_p_wrong", "probability of wrong depth up to", 0.001, 1),
     _free("decode.min_contrast", "least contrast", 0.002, 0.5),
     _free("decode.doubt", "doubt", 0, 0.9, 0.01),
     _free("decode.fine_bits", "fine bits", 0, 8, 1),

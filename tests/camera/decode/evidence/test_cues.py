@@ -170,6 +170,11 @@ def test_the_epipolar_cues_are_the_distance_of_decoded_rows():
     known = np.isfinite(z_m)
     assert known.any()
     np.testing.assert_allclose(2 ** cues["off the epipolar line"][known], off_px[known], rtol=1e-3)
+    over_sigma = np.abs(80.0 - row) / 0.05
+    far = known & (over_sigma > 1)
+    np.testing.assert_allclose(
+        2 ** cues["off the epipolar line over sigma"][far], over_sigma[far], rtol=1e-3
+    )
 
 
 def test_without_a_rig_and_a_second_axis_only_their_cues_are_missing():

@@ -55,6 +55,17 @@ def test_one_mirror_reverses_the_handedness_and_two_do_not(axis, flip):
     np.testing.assert_allclose(twice[inner], 1, atol=1e-3)
 
 
+def test_exchanged_axes_of_the_picture_are_a_mirror_too():
+    """Then each position changes only along the other axis of the picture."""
+    rig = rig_of("column")
+    side = SIZE[0]
+    column, row = (place[:side, :side].T.copy() for place in wall_code(rig))
+    cues = orientation(column, row, rig, "column")
+    inner = np.s_[1:-1, 1:-1]
+    np.testing.assert_allclose(cues["slope forward"][inner], 0, atol=1e-3)
+    np.testing.assert_allclose(cues["handedness"][inner], -1, atol=1e-3)
+
+
 def test_the_slope_of_a_tilted_wall_is_the_closed_form():
     """Oracle: with u = f (x - b / z) and 1 / z = 1 + t x, the slope is 1 - b t."""
     rig = rig_of("column")

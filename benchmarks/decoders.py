@@ -19,11 +19,28 @@ MOST_WRONG = 0.01
 
 
 def bare(scanner: Scanner) -> Scanner:
-    """Return the scanner without any guard against wrong depths, and with the same faults."""
+    """Return the scanner without any limit against wrong depths, and with the same faults."""
     decode = DecodeSpec(
         min_contrast=0.002, min_sigmas=0.0, doubt=0.0, min_visibility=0.0, max_epipolar_px=0.0
     )
     return replace(scanner, decode=decode, filters=FilterSpec())
+
+
+def with_single_limits(scanner: Scanner) -> Scanner:
+    """Return the scanner with one limit for each kind of evidence, and with the same faults."""
+    decode = DecodeSpec(
+        min_contrast=0.002, min_sigmas=30.0, min_visibility=0.3, max_epipolar_px=0.5
+    )
+    filters = FilterSpec(
+        flying_angle_deg=75.0,
+        outlier_sigmas=4.0,
+        outlier_repair=True,
+        hidden_sigmas=3.0,
+        edge_px=1.0,
+        island_px=30,
+        smoothing_px=0.55,
+    )
+    return replace(scanner, decode=decode, filters=filters)
 
 
 def keys_of(scanner: Scanner) -> list[tuple[Any, ...]]:

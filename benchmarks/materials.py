@@ -25,7 +25,7 @@ from .stages import cell_of
 
 PARTS, SEED, SAMPLES = 20, 2, 64  # Seed 1 was used to choose the settings of scanners.
 SCANNERS = ("like-phoxi-s", "like-phoxi-m", "like-phoxi-l", "paper")
-PRESET, BARE = "preset", "without guards"
+PRESET, BARE = "preset", "without a limit"
 EXPOSURES = {"one exposure": (1.0,), "three exposures": (0.25, 1.0, 4.0)}
 PARTS_PLACE, AROUND_PLACE, AROUND_PX = "parts", "around", 20
 CODES_OF = "like-phoxi-m"  # the rig with which all codes are compared
@@ -51,12 +51,12 @@ A cell has three figures for the parts' pixels: the share with depth [%]; the sh
 sigma (1 where sigma is true). The number after *metal* is the roughness. The reflectance is 0.7
 for metal and 0.22 for *steel*.
 
-*Without guards* against light from other surfaces, the scanner has no second phase, no code of the
-other axis, no least contrast of stripes, no edge filter and no line noise. `paper` has plain Gray
-code and no guards. The guards were chosen with another heap.
+The presets remove depth whose [probability](wrong_depth.md) to be wrong is above 0.02
+(`max_p_wrong`), and flying pixels. *Without a limit*, they keep both. `paper` has plain Gray code,
+no limit and no filter. The probabilities were fitted to scenes with other parts.
 
-**Conclusion.** Up to {bare:.1f} % of the depths are wrong without guards, at most
-{preset:.1f} % with them. The price is depth, above all of metal."""
+**Conclusion.** Without a limit, up to {bare:.1f} % of the depths are wrong, with it at most
+{preset:.1f} %. On metal, the limit keeps {least:.0f} to {most:.0f} % of the right depths."""
 
 EXPOSED = """\
 `{scanner}` with the exposure that the white frame asks for, or with 0.25, 1 and 4 times it.
@@ -107,16 +107,18 @@ def measured(resolution: str, names: Iterable[str] = SCANNERS) -> Iterator[Worth
 
 def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
     """Yield the headings and texts of docs/measurements/materials.md."""
-    guarded = {row.scanner for row in rows if row.code == BARE}
+    limited = {row.scanner for row in rows if row.code == BARE}
     preset, bare = (
         max(
             100 * row.wrong
             for row in rows
-            if row.code == code and row.scanner in guarded and row.place == PARTS_PLACE
+            if row.code == code and row.scanner in limited and row.place == PARTS_PLACE
         )
         for code in (PRESET, BARE)
     )
-    text = INTRODUCTION.format(preset=preset, bare=bare, **about)
+    kept = _kept_metal(rows)
+    shares = {"least": 100 * min(kept), "most": 100 * max(kept)}
+    text = INTRODUCTION.format(preset=preset, bare=bare, **shares, **about)
     yield "Depth on matt, plastic, dark and metal parts", text
     columns = {
         (row.scanner, row.code): row.scanner if row.code == PRESET else row.code for row in rows
@@ -142,6 +144,20 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
         near = {key: head for key, head in presets.items() if key[0] in (CODES_OF, "paper")}
         text = AROUND.format(pixels=AROUND_PX)
         yield "Around the parts", text + _table(beside, near, AROUND_PLACE)
+
+
+def _kept_metal(rows: list[Worth]) -> list[float]:
+    """Return the shares of the right depths on metal that the presets keep with their limit."""
+    right = {
+        (row.scanner, row.code, row.material): row.right
+        for row in rows
+        if row.place == PARTS_PLACE and row.material.startswith("metal")
+    }
+    return [
+        right[scanner, PRESET, material] / everything
+        for (scanner, code, material), everything in right.items()
+        if code == BARE
+    ]
 
 
 def _table(
@@ -179,15 +195,13 @@ def around(parts: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
-    """Return the preset and variants of it: without guards, other exposures, and other codes."""
+    """Return the preset, and variants without a limit or with other exposures or codes."""
     scanners = {PRESET: scanner}
     if name != "paper":
         scanners[BARE] = replace(
             scanner,
-            rig=replace(scanner.rig, line_noise=0.0),
-            code=replace(scanner.named_code(), axes=("column",), fine_period_px=None),
-            decode=replace(scanner.decode, min_visibility=0.0),
-            filters=replace(scanner.filters, edge_px=None),
+            decode=replace(scanner.decode, max_p_wrong=1.0),
+            filters=replace(scanner.filters, flying_angle_deg=None),
         )
     if name == CODES_OF:
         for words, factors in EXPOSURES.items():

@@ -1,4 +1,4 @@
-"""The section on metal in docs/how-to/stacks.md: points lost by guards, and errors removed.
+"""The section on metal in docs/how-to/stacks.md: depth lost and errors removed by limits.
 
 python -m studies.metal_stack ../shared/data/stacks/xema_metal
 

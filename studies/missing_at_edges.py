@@ -21,7 +21,7 @@ from scipy.ndimage import binary_erosion
 
 from benchmarks.stages import cell_of
 from graycast.base.tables import markdown_table
-from graycast.camera.scanner import Scanner, measure, preset, take
+from graycast.camera.scanner import Scanner, measure, take
 from graycast.cell.resolve import patterns_of
 from graycast.real.realism import DepthScan
 from graycast.real.realism.depth_steps import count_steps
@@ -34,12 +34,15 @@ PARTS = 16
 ERODED_PX = 3  # width of the strip along each part's outline that does not count as "inside"
 # Changes of the preset's filters and decoder.
 CHANGES: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "preset: `edge_px` 1, `island_px` 30": ({}, {}),
-    "`edge_px` 1.5": ({"edge_px": 1.5}, {}),
-    "`edge_px` 0": ({"edge_px": None}, {}),
-    "`edge_px` 0, `island_px` 0": ({"edge_px": None, "island_px": None}, {}),
-    "`edge_px` 0, `min_visibility` 0.5": ({"edge_px": None}, {"min_visibility": 0.5}),
-    "`edge_px` 0, `min_visibility` 0.6": ({"edge_px": None}, {"min_visibility": 0.6}),
+    "preset: `max_p_wrong` 0.02, `flying_angle_deg` 75": ({}, {}),
+    "`max_p_wrong` 1": ({}, {"max_p_wrong": 1.0}),
+    "`max_p_wrong` 0.1": ({}, {"max_p_wrong": 0.1}),
+    "`max_p_wrong` 0.05": ({}, {"max_p_wrong": 0.05}),
+    "`max_p_wrong` 0.01": ({}, {"max_p_wrong": 0.01}),
+    "`max_p_wrong` 0.005": ({}, {"max_p_wrong": 0.005}),
+    "no `flying_angle_deg`": ({"flying_angle_deg": None}, {}),
+    "`flying_angle_deg` 45": ({"flying_angle_deg": 45.0}, {}),
+    "`edge_px` 1": ({"edge_px": 1.0}, {}),
 }
 
 
@@ -130,7 +133,7 @@ def real() -> Row:
 
 def simulated(scenes: int, samples: int) -> dict[str, Row]:
     """Return the counts for each change of settings; all use the same rendered pictures."""
-    known = replace(scanner(), filters=preset("like-phoxi-m", "small").filters)
+    known = scanner()
     rows = {name: Row() for name in CHANGES}
     for seed, rendering in _renderings(known, scenes, samples):
         capture = take(known, rendering.radiance, seed=seed)

@@ -78,11 +78,7 @@ FAMILIES = {
 
 
 def scanner() -> Scanner:
-    """Return the PhoXi's twin: measured geometry, and the preset without two filters.
-
-    The scans have points up to the edges, and isolated points, so the filters that remove these are
-    not used.
-    """
+    """Return the PhoXi's twin: the preset with the measured geometry."""
     known = preset("like-phoxi-m", "small")
     toe_in_rad = np.radians(TOE_IN_DEG)
     T_rig_cam = rigid(axis_rotation("y", -toe_in_rad), np.array([BASELINE_M / 2, 0.0, 0.0]))
@@ -108,8 +104,7 @@ def scanner() -> Scanner:
         far_m=FAR_M,
         picture_level=0.0,
     )
-    filters = replace(known.filters, edge_px=None, island_px=None)
-    return replace(known, rig=rig, filters=filters)
+    return replace(known, rig=rig)
 
 
 def _lens(size_px: int, lit: tuple[float, float]) -> tuple[float, float]:

@@ -30,7 +30,7 @@ def test_a_depth_with_an_error_above_1_mm_and_5_sigmas_is_wrong():
 
 @pytest.mark.slow
 def test_every_picture_of_every_code_is_rendered_once():
-    """The preset's pictures include all pictures that the scanner without guards needs."""
+    """The variants of the preset share their pictures."""
     scanners = _scanners("like-phoxi-m", preset("like-phoxi-m", "small"))
     keys, patterns = shared_patterns([*scanners.values()])
     assert len(set(keys)) == len(keys) == len(patterns)
@@ -39,22 +39,23 @@ def test_every_picture_of_every_code_is_rendered_once():
 
 
 def test_the_page_has_a_row_for_every_material():
-    own = {"scanner": "like-phoxi-m", "decoded": 0.5, "right": 0.49, "error_over_sigma": 1.0}
+    own = {"scanner": "like-phoxi-m", "decoded": 0.5, "error_over_sigma": 1.0}
     rows = [
-        Worth(code=code, material=material, wrong=wrong, place=place, **own)
+        Worth(code=code, material=material, wrong=wrong, right=right, place=place, **own)
         for place in ("parts", "around")
         for material in MATERIALS
-        for code, wrong in (("preset", 0.004), ("without guards", 0.3))
+        for code, wrong, right in (("preset", 0.004, 0.36), ("without a limit", 0.3, 0.4))
     ]
     about = {"date": "2026-01-02", "commit": "abc", "resolution": "low", "cores": 2, "cpu": "x"}
     (_, words), (heading, table), (where, beside) = page(rows, **about)
     assert (heading, where) == ("Presets", "Around the parts")
     assert len(beside.splitlines()) > len(table.splitlines())
     assert len(table.splitlines()) == 2 + len(MATERIALS)
-    assert table.startswith("| decoded; wrong; error/sigma | like-phoxi-m | without guards |")
+    assert table.startswith("| decoded; wrong; error/sigma | like-phoxi-m | without a limit |")
     words = words.replace("\n", " ")
     assert "2026-01-02 at commit `abc`" in words
-    assert "Up to 30.0 % of the depths are wrong without guards, at most 0.4 %" in words
+    assert "up to 30.0 % of the depths are wrong, with it at most 0.4 %." in words
+    assert "the limit keeps 90 to 90 % of the right depths" in words
     assert "| matt | 50; 0.4; 1.00 | 50; 30.0; 1.00 |" in table
 
 
@@ -62,7 +63,7 @@ def test_the_page_names_the_best_and_the_worst_code_on_the_smoothest_metal():
     own = {"scanner": "like-phoxi-m", "decoded": 0.5, "right": 0.4, "error_over_sigma": 1.0}
     wrong = {
         "preset": 0.0,
-        "without guards": 0.0,
+        "without a limit": 0.0,
         "gray": 0.12,
         "gray_phase": 0.05,
         "xor_gray": 0.2,

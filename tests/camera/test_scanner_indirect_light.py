@@ -11,6 +11,7 @@ import pytest
 from backends import slow
 from scipy import ndimage
 
+from benchmarks.decoders import with_single_limits
 from graycast.base.frames import pixel_grid, transform_points
 from graycast.camera.decode import POSITIONED, FilterSpec, Reason
 from graycast.camera.scanner import preset, scan
@@ -113,49 +114,42 @@ def test_presets_refuse_wrong_pixels_in_mixed_light_unlike_the_plain_decoder(sca
     plain = replace(
         scanner,
         code=replace(scanner.code, axes=("column",), fine_period_px=None),
-        decode=replace(scanner.decode, min_visibility=0.0),
-        filters=replace(scanner.filters, edge_px=None),
+        decode=replace(scanner.decode, max_p_wrong=1.0),
     )
     believed = scan(plain, light(plain, place, place + away, share, spread_px=5.0), seed=1).depth
     assert wrong(believed, z_m).sum() > 0.3 * np.isfinite(believed.depth_m).sum()
 
 
-def without_guards(scanner, max_p_wrong):
-    decode = replace(
-        scanner.decode,
-        doubt=0.0,
-        min_sigmas=0.0,
-        min_visibility=0.0,
-        max_epipolar_px=0.0,
-        max_p_wrong=max_p_wrong,
-    )
+def with_limit(scanner, max_p_wrong):
+    """Return the scanner with another limit of the probability and without filters."""
+    decode = replace(scanner.decode, max_p_wrong=max_p_wrong)
     return replace(scanner, decode=decode, filters=FilterSpec())
 
 
 def test_the_probability_alone_tells_direct_from_mixed_light(scanner):
-    """The patches of mixed light are as in the test of the guards, and it keeps more depth."""
+    """The probability keeps more of the right depth than single limits do."""
     rng = np.random.default_rng(2)
     z_m, place = facing_plane(scanner)
     away = np.stack([patches(-200, 200, rng), patches(-200, 200, rng)], axis=-1)
     share = patches(0, 1, rng)
     mixed = light(scanner, place, place + away, share, spread_px=5.0)
-    unguarded = scan(without_guards(scanner, 1.0), mixed, seed=1).depth
-    estimated = scan(without_guards(scanner, 0.05), mixed, seed=1).depth
-    guarded = scan(scanner, mixed, seed=1).depth
+    unguarded = scan(with_limit(scanner, 1.0), mixed, seed=1).depth
+    estimated = scan(with_limit(scanner, 0.05), mixed, seed=1).depth
+    limited = scan(with_single_limits(scanner), mixed, seed=1).depth
     assert unguarded.p_wrong is None
     assert wrong(unguarded, z_m).sum() > 0.2 * np.isfinite(unguarded.depth_m).sum()
     assert wrong(estimated, z_m).sum() <= 0.005 * np.isfinite(estimated.depth_m).sum()
-    right, right_with_guards = (
-        (np.isfinite(depth.depth_m) & ~wrong(depth, z_m)).sum() for depth in (estimated, guarded)
+    right, right_with_limits = (
+        (np.isfinite(depth.depth_m) & ~wrong(depth, z_m)).sum() for depth in (estimated, limited)
     )
-    assert right > 1.1 * right_with_guards
+    assert right > 1.1 * right_with_limits
     reasons = estimated.reason[np.isnan(estimated.depth_m)]
     assert (reasons == Reason.INTERREFLECTION).any()
 
 
 def test_the_probability_alone_keeps_direct_light_and_no_mirror_image(scanner):
     _, place = facing_plane(scanner)
-    careful = without_guards(scanner, 0.02)
+    careful = with_limit(scanner, 0.02)
     direct = scan(careful, light(scanner, place, place, 0.0), seed=1).depth
     assert np.isfinite(direct.depth_m).mean() > 0.99
     assert np.array_equal(np.isfinite(direct.p_wrong), np.isfinite(direct.depth_m))
@@ -172,7 +166,7 @@ def test_a_pixel_that_is_removed_for_its_code_has_no_position(scanner):
     _, place = facing_plane(scanner)
     away = np.stack([patches(-200, 200, rng), patches(-200, 200, rng)], axis=-1)
     mixed = light(scanner, place, place + away, patches(0, 1, rng), spread_px=5.0)
-    result = scan(without_guards(scanner, 0.05), mixed, seed=1)
+    result = scan(with_limit(scanner, 0.05), mixed, seed=1)
     positioned = np.isin(result.depth.reason, POSITIONED)
     for name in ("column", "row", "sigma_column", "sigma_row"):
         assert np.array_equal(np.isfinite(getattr(result.codes, name)), positioned)

@@ -303,11 +303,10 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     """Return a preset scanner.
 
     `paper` is the scanner of K. Bai et al. 2024, with a plain Gray code and no filter. The others
-    project a phase code, then filter and smooth the depth. They reject most indirect light, because
-    its two periods disagree, its points are off the epipolar line (if both axes are coded), or its
-    stripes have little contrast. Pixels next to edges, which may see two surfaces, have no depth.
-    docs/measurements/materials.md has the shares of wrong depth on eight materials. Scanners with a
-    laser have a slight blur of the line, speckle, and the faults of a real device.
+    project a phase code on both axes, remove depth that is wrong with a probability over 0.02, and
+    flying pixels, and smooth the depth. docs/measurements/materials.md has the shares of wrong
+    depth on eight materials. Scanners with a laser have a slight blur of the line, speckle, and the
+    faults of a real device.
 
     Args:
         name: one of `rig.pair.PRESETS`, or a former name of a preset.
@@ -354,17 +353,9 @@ def preset(name: str, resolution: str = "low") -> Scanner:
             pixel_pitch_m=pitch_m, f_number=entry.f_number, wavelength_m=entry.wavelength_m
         ),
         decode=DecodeSpec(
-            min_contrast=0.002, min_sigmas=30.0, min_visibility=0.3, max_epipolar_px=0.5
+            min_contrast=0.002, min_sigmas=3.0, doubt=0.0, max_epipolar_px=0.0, max_p_wrong=0.02
         ),
-        filters=FilterSpec(
-            flying_angle_deg=75.0,
-            outlier_sigmas=4.0,
-            outlier_repair=True,
-            hidden_sigmas=3.0,
-            edge_px=1.0,
-            island_px=30,
-            smoothing_px=0.55,
-        ),
+        filters=FilterSpec(flying_angle_deg=75.0, smoothing_px=0.55),
         faults=FaultSpec(raster_px=_PHOXI_RASTER_PX[resolution] if entry.laser else 0.0),
     )
 

@@ -39,8 +39,8 @@ def remedies(scanner: Scanner) -> tuple[Remedy, ...]:
         "exposure: {factors: [0.05, 0.5, 4, 30]}": replace(
             scanner, exposure=replace(exposure, auto=False, factors=(0.05, 0.5, 4.0, 30.0))
         ),
-        "decode: {min_sigmas: 15}": replace(
-            scanner, decode=replace(scanner.decode, min_sigmas=15.0)
+        "decode: {max_p_wrong: 0.05}": replace(
+            scanner, decode=replace(scanner.decode, max_p_wrong=0.05)
         ),
     }
     return tuple(

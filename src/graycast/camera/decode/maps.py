@@ -82,7 +82,8 @@ class DecodeSpec:
     If both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
     three standard deviations is an outlier; 0 switches this test off.
     `max_p_wrong` uses all of this evidence at once: depth is removed if the probability that it is
-    wrong is larger. Set `doubt`, `min_visibility` and `max_epipolar_px` to 0 with it.
+    wrong is larger. Set `doubt`, `min_visibility` and `max_epipolar_px` to 0 with it, as the preset
+    scanners do.
     """
 
     min_contrast: Annotated[

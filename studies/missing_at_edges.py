@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 from pycocotools import mask as coco_mask
 from scipy.ndimage import binary_erosion
 
+from benchmarks.decoders import with_single_limits
 from benchmarks.stages import cell_of
 from graycast.base.tables import markdown_table
 from graycast.camera.scanner import Scanner, measure, take
@@ -134,17 +135,21 @@ def real() -> Row:
 def simulated(scenes: int, samples: int) -> dict[str, Row]:
     """Return the counts for each change of settings; all use the same rendered pictures."""
     known = scanner()
-    rows = {name: Row() for name in CHANGES}
+    variants = {
+        name: replace(
+            known,
+            filters=replace(known.filters, **filters),
+            decode=replace(known.decode, **decode),
+        )
+        for name, (filters, decode) in CHANGES.items()
+    }
+    variants["single limits, as before"] = with_single_limits(known)
+    rows = {name: Row() for name in variants}
     for seed, rendering in _renderings(known, scenes, samples):
         capture = take(known, rendering.radiance, seed=seed)
         truth = rendering.truth
         masks = [truth.instance == i for i in range(truth.instance.max() + 1)]
-        for name, (filters, decode) in CHANGES.items():
-            changed = replace(
-                known,
-                filters=replace(known.filters, **filters),
-                decode=replace(known.decode, **decode),
-            )
+        for name, changed in variants.items():
             depth = measure(changed, capture, path_noise=rendering.radiance.path_noise)[1]
             rows[name].add(masks, depth.depth_m, depth.is_wrong(truth.depth_m))
     return rows

@@ -7,7 +7,7 @@ import pytest
 from small_cell import write_cell
 
 from graycast.base.frames import axis_rotation, inverse, rigid
-from graycast.dataset.detections import Detections
+from graycast.dataset.read.detections import Detections
 from graycast.rendering import GroundTruth, Radiance, Renderer, Rendering
 from graycast.robot.grasp import DepthView
 from graycast.robot.pick import load_pick_config, resolve_pick_cell

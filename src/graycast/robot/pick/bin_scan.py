@@ -12,8 +12,8 @@ from ...camera.scanner import measure, scan_seconds, take
 from ...camera.sensor import Capture
 from ...cell.config import resolve_quality
 from ...cell.metering import metered_region
-from ...dataset.detections import Detections
-from ...dataset.example import Example
+from ...dataset.read.detections import Detections
+from ...dataset.read.example import Example
 from ...rendering import Renderer, Rendering
 from ...world.scene import Layout
 from ..grasp import DepthView

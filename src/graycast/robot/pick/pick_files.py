@@ -23,8 +23,8 @@ from ...base.errors import DatasetError, GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import claimed_folder, new_folder, write_whole
 from ...cell.generate import described_scanner
-from ...dataset.claim import BESIDE_CONFIG, make_claim, refuse_other
-from ...dataset.json_text import json_bytes
+from ...dataset.files.json_text import json_bytes
+from ...dataset.write.claim import BESIDE_CONFIG, make_claim, refuse_other
 from .episode import Episode
 from .robot_cell import PickCell
 

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
-from ...dataset.claim import BESIDE_CONFIG
+from ...dataset.write.claim import BESIDE_CONFIG
 from ...world.parts import Mesh
 from .outcome import TAKEN
 from .pick_files import BINS, CLAIM, MOTION, StoredEpisode

@@ -12,7 +12,7 @@ from ...base.frames import axis_rotation, rigid
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.public_value import public_value
 from ...cell.resolve import Cell, refuse_several, resolve_cell
-from ...dataset.detections import WEIGHTS
+from ...dataset.read.detections import WEIGHTS
 from ...world.scene import Bin, bin_of
 from .arms import ARMS
 from .pick_sections import PickConfig

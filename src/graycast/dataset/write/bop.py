@@ -17,20 +17,20 @@ import numpy as np
 from jaxtyping import Float, UInt16
 from scipy import ndimage
 
-from ..base.frames import inverse
-from ..base.mask_box import mask_box
-from ..base.streams import OF_IMAGE
-from ..camera.decode import Reason
-from ..rendering.radiance import Silhouette
-from ..rig.optics import Optics
+from ...base.frames import inverse
+from ...base.mask_box import mask_box
+from ...base.streams import OF_IMAGE
+from ...camera.decode import Reason
+from ...rendering.radiance import Silhouette
+from ...rig.optics import Optics
+from ..files.json_text import json_bytes
+from ..files.records import MM_PER_M
+from ..files.sample import Sample, labelled
+from ..files.scene_folder import SCANNER, of_sensor, picture_name
+from ..files.seal import FURTHER, FURTHER_TIMINGS, OWN_FACTS, sealed
 from .coco import add_images, run_lengths, scene_annotation, scene_coco, scene_image
-from .json_text import json_bytes
 from .picture_bytes import depth_steps, mask_png, modulation_steps, png, probability_steps
 from .raw import raw_facts, raw_files
-from .records import MM_PER_M
-from .sample import Sample, labelled
-from .scene_folder import SCANNER, of_sensor, picture_name
-from .seal import FURTHER, FURTHER_TIMINGS, OWN_FACTS, sealed
 
 _NOTHING = [-1, -1, -1, -1]  # BOP gives this box to an invisible instance.
 

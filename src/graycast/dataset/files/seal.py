@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ..base.file_limits import parse_json
-from ..base.folder import leads_out
-from ..rig.former_names import with_current_names
+from ...base.file_limits import parse_json
+from ...base.folder import leads_out
+from ...rig.former_names import with_current_names
 from .json_text import json_bytes
 from .safe_reading import png_pixels
 

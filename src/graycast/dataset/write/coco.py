@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..rendering.radiance import Silhouette
-from .records import split_annotation
+from ...rendering.radiance import Silhouette
+from ..files.records import split_annotation
 
 IGNORED_BELOW = 0.1  # calc_gt_coco of bop_toolkit ignores instances below this visibility.
 

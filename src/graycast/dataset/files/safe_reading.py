@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from ..base.file_limits import refuse_large_picture, refuse_turned
+from ...base.file_limits import refuse_large_picture, refuse_turned
 
 R = TypeVar("R")
 Form = type[R] | GenericAlias  # At run time, `list[Pose]` is a GenericAlias.

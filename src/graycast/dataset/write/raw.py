@@ -19,17 +19,17 @@ import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
-from ..base.errors import ConfigError
-from ..base.file_limits import refuse_large_picture
-from ..camera.rig_file import load_scanner, scanner_text
-from ..camera.sensor import Capture
-from ..camera.stack import describe_frames, describe_stack
-from ..rig.pattern import AXES
-from . import records
-from .safe_reading import Unreadable, read_json, read_png, record_as
-from .sample import Raw
-from .scene_folder import of_sensor
-from .seal import facts_of
+from ...base.errors import ConfigError
+from ...base.file_limits import refuse_large_picture
+from ...camera.rig_file import load_scanner, scanner_text
+from ...camera.sensor import Capture
+from ...camera.stack import describe_frames, describe_stack
+from ...rig.pattern import AXES
+from ..files import records
+from ..files.safe_reading import Unreadable, read_json, read_png, record_as
+from ..files.sample import Raw
+from ..files.scene_folder import of_sensor
+from ..files.seal import facts_of
 
 _THREADS = 4  # PNG decoding releases the GIL.
 FRAMES = "frames"

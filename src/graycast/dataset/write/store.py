@@ -17,21 +17,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, final
 
-from ..base.errors import DatasetError
-from ..base.folder import ASIDE, beside, remove_left, take_lock
-from ..rig.pair import Rig
-from ..world.parts import Part
+from ...base.errors import DatasetError
+from ...base.folder import ASIDE, beside, remove_left, take_lock
+from ...rig.pair import Rig
+from ...world.parts import Part
+from ..files.json_text import json_bytes
+from ..files.places import CLAIM, camera_file, finished_scenes
+from ..files.records import Manifest
+from ..files.safe_reading import Unreadable
+from ..files.sample import Sample
+from ..files.scene_folder import SceneFolder, of_sensor, picture_name
+from ..files.seal import SUMS, sha256
 from .bop import camera_json, scene_files
 from .claim import Taker, make_claim, refuse_other
 from .coco import coco_categories, split_coco
-from .json_text import json_bytes
 from .models import model_files, models_info
-from .places import CLAIM, camera_file, finished_scenes
-from .records import Manifest
-from .safe_reading import Unreadable
-from .sample import Sample
-from .scene_folder import SceneFolder, of_sensor, picture_name
-from .seal import SUMS, sha256
 from .set_aside import SETASIDE
 
 _LOCK = ".lock"

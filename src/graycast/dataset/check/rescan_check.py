@@ -7,16 +7,12 @@ from typing import Any
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from ..base.errors import DatasetError
-from ..base.file_limits import parse_json
-from ..base.mask_box import mask_box
-from .coco import add_images, scene_coco
-from .example import known_depth
-from .places import CLAIM
-from .plain_scene import holes_disagree
-from .rescanned import RECORDS, ImageRecord, RescanClaim, changes, image_records, original_sums
-from .safe_reading import Unreadable, read_json, record_as
-from .scene_folder import (
+from ...base.errors import DatasetError
+from ...base.file_limits import parse_json
+from ...base.mask_box import mask_box
+from ..files.places import CLAIM
+from ..files.safe_reading import Unreadable, read_json, record_as
+from ..files.scene_folder import (
     OWN_PICTURES,
     SCANNER,
     AnyPose,
@@ -25,7 +21,18 @@ from .scene_folder import (
     own_form,
     scene_folders,
 )
-from .seal import sum_problems
+from ..files.seal import sum_problems
+from ..read.example import known_depth
+from ..read.rescanned import (
+    RECORDS,
+    ImageRecord,
+    RescanClaim,
+    changes,
+    image_records,
+    original_sums,
+)
+from ..write.coco import add_images, scene_coco
+from .plain_scene import holes_disagree
 
 _COCO, _POSES = "scene_gt_coco_sl", "scene_gt_sl"
 _APART_MM, _TURNED = 0.01, 5e-3  # Files may round R to three digits.

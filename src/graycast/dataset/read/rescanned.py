@@ -12,14 +12,14 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from ..base.errors import DatasetError
-from ..base.file_limits import parse_json
-from .json_text import json_bytes
-from .places import CLAIM
-from .records import FormatVersion, Images, Positive, Record
-from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder
-from .seal import sha256
+from ...base.errors import DatasetError
+from ...base.file_limits import parse_json
+from ..files.json_text import json_bytes
+from ..files.places import CLAIM
+from ..files.records import FormatVersion, Images, Positive, Record
+from ..files.safe_reading import Unreadable, read_json
+from ..files.scene_folder import SceneFolder
+from ..files.seal import sha256
 
 RECORDS = "scan_sl"
 SCANNED_POSES = "scene_gt_sl.json"

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Bool, UInt16
 from pycocotools import mask as coco_mask
 
-from ..base.mask_box import mask_box, overlap
-from ..rig.meshdepth import Raster, rasterize
-from . import records
+from ...base.mask_box import mask_box, overlap
+from ...rig.meshdepth import Raster, rasterize
+from ..files import records
+from ..files.safe_reading import Unreadable, read_mask
+from ..files.scene_folder import of_sensor
 from .plain_scene import Model, Plain, transform_of
-from .safe_reading import Unreadable, read_mask
-from .scene_folder import of_sensor
 
 # In single precision, a renderer may put a pixel whose centre is very near an edge on either side.
 # With 40 built-in parts, Mitsuba did so for at most one pixel of a mask. Two pixels and 2 % of the

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from ..base import array_types as arrays
-from ..base.public_value import public_value
-from ..camera.decode import CodeMap, DepthMap
-from ..camera.scanner import Scanner
-from ..camera.sensor import Capture
-from ..rendering.radiance import GroundTruth
-from ..world.scene import Layout, Scene
+from ...base import array_types as arrays
+from ...base.public_value import public_value
+from ...camera.decode import CodeMap, DepthMap
+from ...camera.scanner import Scanner
+from ...camera.sensor import Capture
+from ...rendering.radiance import GroundTruth
+from ...world.scene import Layout, Scene
 
 LEAST_DECODED = 1e-3  # Wrong codes alone can give a smaller share of decoded pixels.
 

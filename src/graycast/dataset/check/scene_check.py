@@ -7,15 +7,15 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from ..base.frames import is_rigid
-from ..camera.decode import Reason
-from . import records
+from ...base.frames import is_rigid
+from ...camera.decode import Reason
+from ..files import records
+from ..files.places import camera_file
+from ..files.safe_reading import Form, Unreadable, png_kind
+from ..files.scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
 from .mask_check import mask_problems
-from .places import camera_file
 from .plain_scene import Model, Plain, holes_disagree, transform_of
 from .raw_check import raw_problems
-from .safe_reading import Form, Unreadable, png_kind
-from .scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
 
 R = TypeVar("R")
 

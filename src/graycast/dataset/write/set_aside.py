@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from ..base.errors import DatasetError, GraycastError
-from ..base.folder import write_whole
-from ..base.public_value import public_value
-from .json_text import json_bytes
-from .safe_reading import Unreadable, read_json
+from ...base.errors import DatasetError, GraycastError
+from ...base.folder import write_whole
+from ...base.public_value import public_value
+from ..files.json_text import json_bytes
+from ..files.safe_reading import Unreadable, read_json
 
 SETASIDE = "set_aside.json"
 

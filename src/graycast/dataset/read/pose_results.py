@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..base.errors import GraycastError
-from ..base.frames import is_rigid, rigid
-from ..base.tables import csv_text
-from .records import MM_PER_M
+from ...base.errors import GraycastError
+from ...base.frames import is_rigid, rigid
+from ...base.tables import csv_text
+from ..files.records import MM_PER_M
 
 HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 ROTATION_TOLERANCE = 1e-3  # Files hold few digits, so R's entries may be off by this.

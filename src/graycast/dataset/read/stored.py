@@ -12,15 +12,15 @@ from typing import Any, final
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from ..base.array_types import Bool, Float32, UInt8
-from ..base.errors import DatasetError
-from . import records
+from ...base.array_types import Bool, Float32, UInt8
+from ...base.errors import DatasetError
+from ..files import records
+from ..files.places import CLAIM, SPLITS, camera_file, finished_scenes
+from ..files.safe_reading import Unreadable, read_json
+from ..files.scene_folder import SceneFolder, own_form
+from ..files.seal import facts_of
 from .example import Example, InstanceLabel, label_arrays, metres, probabilities
-from .places import CLAIM, SPLITS, camera_file, finished_scenes
 from .real import RealClaim, read_claim
-from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder, own_form
-from .seal import facts_of
 
 _CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
 # These are an instance's pose and figures and, if it is visible, its annotation.

@@ -6,17 +6,25 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from ..base.errors import ConfigError
-from ..camera.decode import POSITIONED
-from ..camera.picture import gray_picture
-from ..camera.sensor import Capture
-from ..camera.stack import code_of, describe_frames, read_description
-from ..rig.pattern import AXES
-from . import records
-from .raw import EXPOSURE, RIG, STACK, frames_folder, raw_facts_of, read_capture, read_code_maps
-from .safe_reading import Unreadable
-from .sample import Raw
-from .scene_folder import SceneFolder, of_sensor
+from ...base.errors import ConfigError
+from ...camera.decode import POSITIONED
+from ...camera.picture import gray_picture
+from ...camera.sensor import Capture
+from ...camera.stack import code_of, describe_frames, read_description
+from ...rig.pattern import AXES
+from ..files import records
+from ..files.safe_reading import Unreadable
+from ..files.sample import Raw
+from ..files.scene_folder import SceneFolder, of_sensor
+from ..write.raw import (
+    EXPOSURE,
+    RIG,
+    STACK,
+    frames_folder,
+    raw_facts_of,
+    read_capture,
+    read_code_maps,
+)
 
 # A pixel with one of these reasons has a projector position, even if its depth was rejected.
 _GRAY_DN = 1  # Values halfway between two steps may round differently on other processors.

@@ -15,8 +15,8 @@ from typing import Annotated, Any, TypeVar, final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..base.array_types import Bool
-from ..base.errors import DatasetError
+from ...base.array_types import Bool
+from ...base.errors import DatasetError
 from .records import Count, Distortion, Images, Matrix3, Positive, Vector
 from .safe_reading import Form, Unreadable, read_json, read_mask, read_picture, read_png, record_as
 

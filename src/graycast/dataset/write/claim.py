@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from ..base.errors import DatasetError
-from ..base.file_limits import parse_json
-from ..base.version import __version__
-from ..rig.former_names import with_current_names
-from ..rig.optics import Optics
-from ..rig.pair import Rig
-from ..world.parts import Part
-from .json_text import plain
-from .records import FORMAT_VERSION
-from .seal import SUMS
+from ...base.errors import DatasetError
+from ...base.file_limits import parse_json
+from ...base.version import __version__
+from ...rig.former_names import with_current_names
+from ...rig.optics import Optics
+from ...rig.pair import Rig
+from ...world.parts import Part
+from ..files.json_text import plain
+from ..files.records import FORMAT_VERSION
+from ..files.seal import SUMS
 
 BESIDE_CONFIG = ("files", "scanner")  # A claim has these in addition to the configuration's keys.
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # The fingerprint does not cover these.

@@ -13,12 +13,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from ..base.frames import is_rigid
-from .places import SPLITS
+from ...base.frames import is_rigid
+from ..files.places import SPLITS
+from ..files.records import Matrix3, OneImage, Pose, Positive, Record, Vector
+from ..files.safe_reading import Unreadable, read_json
+from ..files.scene_folder import SceneFolder
 from .plain_scene import Model, transform_of
-from .records import Matrix3, OneImage, Pose, Positive, Record, Vector
-from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder
 
 GRASPS, GRASP_CLAIM = "grasps", "grasps.json"
 GRASP_FORMAT = 1

@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from ..base.file_limits import parse_json
-from ..base.frames import is_rigid
-from ..base.ply import split
-from ..base.public_value import public_value
-from . import records
-from .bop import camera_json
-from .claim import BESIDE_CONFIG, difference, fingerprint, rig_of
+from ...base.file_limits import parse_json
+from ...base.frames import is_rigid
+from ...base.ply import split
+from ...base.public_value import public_value
+from ..files import records
+from ..files.places import CLAIM, camera_file, finished_scenes
+from ..files.safe_reading import Unreadable, read_json
+from ..files.scene_folder import SceneFolder, picture_name
+from ..files.seal import MANIFEST, seal_problems, sum_problems
+from ..read.real import RealClaim, read_claim, real_problems
+from ..read.rescanned import is_rescanned
+from ..write.bop import camera_json
+from ..write.claim import BESIDE_CONFIG, difference, fingerprint, rig_of
+from ..write.models import TEXTURE, diameter
 from .grasp_files import grasp_problems
-from .models import TEXTURE, diameter
-from .places import CLAIM, camera_file, finished_scenes
 from .plain_scene import Model
-from .real import RealClaim, read_claim, real_problems
 from .rescan_check import rescan_problems
-from .rescanned import is_rescanned
-from .safe_reading import Unreadable, read_json
 from .scene_check import scene_problems
-from .scene_folder import SceneFolder, picture_name
-from .seal import MANIFEST, seal_problems, sum_problems
 
 _Finding = tuple[int | None, str]  # A scene (None is the whole dataset) and a message.
 _MODEL_MM = 1e-3  # A PLY file stores nine digits, which are read in single precision.

@@ -14,10 +14,10 @@ import numpy as np
 from pycocotools import mask as coco_mask
 from pydantic import Field
 
-from ..base.errors import DatasetError
-from ..base.mask_box import mask_box
-from .places import CLAIM, finished_scenes
-from .records import (
+from ...base.errors import DatasetError
+from ...base.mask_box import mask_box
+from ..files.places import CLAIM, finished_scenes
+from ..files.records import (
     Camera,
     Claim,
     CocoFile,
@@ -33,9 +33,9 @@ from .records import (
     SceneCoco,
     split_annotation,
 )
+from ..files.safe_reading import Unreadable, read_json
+from ..files.scene_folder import SceneFolder, own_form
 from .rescanned import claim_kind, is_rescanned
-from .safe_reading import Unreadable, read_json
-from .scene_folder import SceneFolder, own_form
 
 StoredKind = Literal["rgb", "gray_sl", "depth_sl", "masks"]
 _ABSENT = ("poses", "models", "perfect depth", "amodal masks", "visible shares", "reasons")

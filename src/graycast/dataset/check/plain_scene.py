@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..base.frames import inverse, rigid
-from ..camera.decode import Reason
-from ..rig.optics import Optics, optics_of
-from . import records
-from .scene_folder import OWN_OPTIONS, SceneFolder, of_sensor, picture_name
+from ...base.frames import inverse, rigid
+from ...camera.decode import Reason
+from ...rig.optics import Optics, optics_of
+from ..files import records
+from ..files.scene_folder import OWN_OPTIONS, SceneFolder, of_sensor, picture_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from ..base import array_types as arrays
-from ..base.array_types import Bool, Float, Float32, UInt8, UInt16
-from ..base.errors import DatasetError
-from ..base.frames import rigid
-from ..base.public_value import public_value
-from .records import MM_PER_M
+from ...base import array_types as arrays
+from ...base.array_types import Bool, Float, Float32, UInt8, UInt16
+from ...base.errors import DatasetError
+from ...base.frames import rigid
+from ...base.public_value import public_value
+from ..files.records import MM_PER_M
 
 if TYPE_CHECKING:  # Reading a dataset does not import the packages that a camera needs.
-    from ..rig.optics import Optics
+    from ...rig.optics import Optics
 
 
 @public_value
@@ -65,7 +65,7 @@ class Example:
         Raises:
             DatasetError: the example has no depth or no intrinsics.
         """
-        from ..rig.optics import optics_of
+        from ...rig.optics import optics_of
 
         depth = self.depth_m if self.scanner_depth_m is None else self.scanner_depth_m
         if self.K is None or depth is None:
@@ -81,7 +81,7 @@ class Example:
         Raises:
             DatasetError: the example has no depth or no intrinsics.
         """
-        from ..rig.optics import points
+        from ...rig.optics import points
 
         camera = self.camera
         depth_m = self.depth_m if self.scanner_depth_m is None else self.scanner_depth_m

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ..base.array_types import Int, UInt8, UInt16
-from ..base.errors import DatasetError
+from ...base.array_types import Int, UInt8, UInt16
+from ...base.errors import DatasetError
+from ..files.records import Box3d, ScannerRecord
 from .example import known_depth
-from .records import Box3d, ScannerRecord
 from .stored import Instance, StoredScene
 
 NO_REASON = 255  # The dataset does not say why depth is missing.

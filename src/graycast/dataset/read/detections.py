@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from ..base import array_types as arrays
-from ..base.errors import GraycastError
-from ..base.file_limits import check_runs, parse_json
-from ..base.public_value import public_value
+from ...base import array_types as arrays
+from ...base.errors import GraycastError
+from ...base.file_limits import check_runs, parse_json
+from ...base.public_value import public_value
 
 RESULTS, DETECT_JSON = "results.json", "detect.json"
 WEIGHTS = "detector.pt"  # The command `graycast detector train` writes this file.

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 
-from ..base.errors import DatasetError
-from ..rendering.radiance import Silhouette
-from .example import LEAST_LOG_P, P_STEPS
-from .records import MM_PER_M
+from ...base.errors import DatasetError
+from ...rendering.radiance import Silhouette
+from ..files.records import MM_PER_M
+from ..read.example import LEAST_LOG_P, P_STEPS
 
 _PNG_LEVEL = 2  # Higher levels take twice the time and save a hundredth of the size.
 _STEP_MAX = 65535

@@ -24,8 +24,8 @@ from graycast.robot.grasp_labels.scene_labels import (
     straight_up,
 )
 from graycast.robot.grasp_labels.stored_world import ScenePoses, Stock, around, make_world
-from graycast.robot.pick.jaw_tool import JawTool
-from graycast.robot.pick.suction_tool import SuctionTool
+from graycast.robot.pick.tool.jaw_tool import JawTool
+from graycast.robot.pick.tool.suction_tool import SuctionTool
 from graycast.world.drop.lift import STEP_S
 from graycast.world.drop.rapier import GRAVITY_M_S2, SKIN_M
 from graycast.world.parts import Material, Mesh, Part

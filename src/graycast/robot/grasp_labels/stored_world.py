@@ -20,10 +20,10 @@ from ...world.drop import Body, make_bodies
 from ...world.parts import Part
 from ...world.scene import Bin, Scene
 from ..grasp import Grip
-from ..pick.obstacles import standing
-from ..pick.robot import Obstacle
-from ..pick.tools import Tool, grips_on
-from ..pick.touch import ContactPart
+from ..pick.arm.obstacles import standing
+from ..pick.arm.robot import Obstacle
+from ..pick.tool.tools import Tool, grips_on
+from ..pick.tool.touch import ContactPart
 from .label_options import Labelling
 
 

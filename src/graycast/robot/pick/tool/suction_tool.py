@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from ...base.frames import rigid
-from ...base.settings import Positive, Settings
-from ...world.parts import Mesh, Part
-from ..grasp import (
+from ....base.frames import rigid
+from ....base.settings import Positive, Settings
+from ....world.parts import Mesh, Part
+from ...grasp import (
     Cup,
     Grip,
     Patch,
@@ -21,10 +21,10 @@ from ..grasp import (
     seal,
     suction_places,
 )
-from ..grasp.patch import STEP_M
+from ...grasp.patch import STEP_M
+from ..arm.robot import Mounted
+from ..outcome import Outcome
 from .contact import NoGrip, PartGrip, near_parts
-from .outcome import Outcome
-from .robot import Mounted
 from .solids import ROUND
 
 

@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ...base.frames import inverse
-from ...camera.picture import color_picture, gray_picture
-from ...camera.scanner import measure, scan_seconds, take
-from ...camera.sensor import Capture
-from ...cell.config import resolve_quality
-from ...cell.metering import metered_region
-from ...dataset.read.detections import Detections
-from ...dataset.read.example import Example
-from ...rendering import Renderer, Rendering
-from ...world.scene import Layout
-from ..grasp import DepthView
+from ....base.frames import inverse
+from ....camera.picture import color_picture, gray_picture
+from ....camera.scanner import measure, scan_seconds, take
+from ....camera.sensor import Capture
+from ....cell.config import resolve_quality
+from ....cell.metering import metered_region
+from ....dataset.read.detections import Detections
+from ....dataset.read.example import Example
+from ....rendering import Renderer, Rendering
+from ....world.scene import Layout
+from ...grasp import DepthView
 from .aim import Candidate, whole_bin
 from .robot_cell import PickCell
 

@@ -9,10 +9,10 @@ from statistics import median
 import numpy as np
 from matplotlib.axes import Axes
 
-from ...base.errors import GraycastError
-from ...base.plotting import ACCENT, INK, SOFT, caption, plain_figure, save_png
-from ...score.evaluate import mcnemar, wilson
-from .outcome import BEFORE_MOVING, TAKEN, Outcome
+from ....base.errors import GraycastError
+from ....base.plotting import ACCENT, INK, SOFT, caption, plain_figure, save_png
+from ....score.evaluate import mcnemar, wilson
+from ..outcome import BEFORE_MOVING, TAKEN, Outcome
 from .pick_files import StoredEpisode
 
 _MOVED = [str(outcome) for outcome in Outcome if outcome not in BEFORE_MOVING]

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from ...base.frames import inverse, transform_points
-from ...rig.optics import points, project
-from ...world.scene import Bin
-from ..grasp import DepthView, Grip, SuctionSearch
-from ..pose import PoseModel, find_pose, find_pose_in_box
-from .obstacles import FLOOR_M, WALL_M
+from ....base.frames import inverse, transform_points
+from ....rig.optics import points, project
+from ....world.scene import Bin
+from ...grasp import DepthView, Grip, SuctionSearch
+from ...pose import PoseModel, find_pose, find_pose_in_box
+from ..arm.obstacles import FLOOR_M, WALL_M
 
 LEAST_AREA = 0.3  # A detection needs at least this share of the largest detection's pixels.
 LEAST_POSE = 0.3  # Poses with a lower score give no grips.

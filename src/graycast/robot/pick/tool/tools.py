@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from ...base.frames import rigid
-from ...world.drop import Body
-from ...world.drop.rapier import GRAVITY_M_S2
-from ...world.parts import Mesh, Part
-from ..grasp import Doubt, Grip, SuctionSearch
+from ....base.frames import rigid
+from ....world.drop import Body
+from ....world.drop.rapier import GRAVITY_M_S2
+from ....world.parts import Mesh, Part
+from ...grasp import Doubt, Grip, SuctionSearch
+from ..arm.robot import Mounted
+from ..outcome import Outcome
 from .contact import NoGrip, PartGrip
 from .jaw_tool import JawTool
-from .outcome import Outcome
-from .robot import Mounted
 from .suction_tool import SuctionTool
 
 AnyTool = Annotated[

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...base.frames import axis_rotation, inverse, rigid
-from ..grasp import CARRIED_M_S2
+from ....base.frames import axis_rotation, inverse, rigid
+from ...grasp import CARRIED_M_S2
+from ..outcome import Outcome
 from .motion import Trajectory, drive, plan, straight
-from .outcome import Outcome
 from .robot import Joints, Mounted, Obstacle, Robot
 
 TURNS = 4  # number of rotations about its axis that are tried for a round cup

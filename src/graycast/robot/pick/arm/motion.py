@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial.transform import Rotation
 
-from ...base.frames import rigid
+from ....base.frames import rigid
 from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
 
 # largest step between poses that are checked for collisions; 30 mm at a radius of 0.8 m

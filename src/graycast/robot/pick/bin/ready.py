@@ -6,22 +6,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ...base.errors import ConfigError
-from ...base.frames import inverse, rigid
-from ...base.progress import UNWATCHED, ProgressMeter
-from ...world.drop import Body, make_bodies
-from ...world.drop.rapier import GRAVITY_M_S2
-from ...world.parts import Part
-from ...world.parts.symmetry import joined, motions, shape_symmetry
-from ..grasp import best_first
-from ..pose import pose_model
+from ....base.errors import ConfigError
+from ....base.frames import inverse, rigid
+from ....base.progress import UNWATCHED, ProgressMeter
+from ....world.drop import Body, make_bodies
+from ....world.drop.rapier import GRAVITY_M_S2
+from ....world.parts import Part
+from ....world.parts.symmetry import joined, motions, shape_symmetry
+from ...grasp import best_first
+from ...pose import pose_model
+from ..arm.obstacles import standing
+from ..arm.robot import Robot, open_robot
+from ..arm.ways import Load, Surroundings
+from ..tool.tools import T_flange_tip, Tool, grips_on
+from ..tool.touch import ContactPart
 from .aim import KnownPart
-from .obstacles import standing
-from .robot import Robot, open_robot
 from .robot_cell import PickCell
-from .tools import T_flange_tip, Tool, grips_on
-from .touch import ContactPart
-from .ways import Load, Surroundings
 
 _PLACES = 200
 
@@ -145,7 +145,7 @@ def _detector(cell: PickCell) -> Any | None:
     """Open the cell's detector, if any; raise ConfigError if it cannot tell the parts apart."""
     if cell.detector is None:
         return None
-    from ...learn.detect import load_detector  # The import of torch takes seconds.
+    from ....learn.detect import load_detector  # The import of torch takes seconds.
 
     detector = load_detector(cell.detector)
     names = [part.name for part in cell.cell.scene.parts]

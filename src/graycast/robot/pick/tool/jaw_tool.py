@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from ...base.frames import rigid
-from ...base.settings import Positive, Settings
-from ...world.parts import Mesh, Part
-from ..grasp import CLEARANCE_M, Grip, Jaws, closing, jaw_load_factor, jaw_places
+from ....base.frames import rigid
+from ....base.settings import Positive, Settings
+from ....world.parts import Mesh, Part
+from ...grasp import CLEARANCE_M, Grip, Jaws, closing, jaw_load_factor, jaw_places
+from ..arm.robot import Mounted
+from ..outcome import Outcome
 from .contact import NoGrip, PartGrip, near_parts
-from .outcome import Outcome
-from .robot import Mounted
 
 
 class JawTool(Settings):

@@ -12,22 +12,22 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from ...base.color import srgb_of_bytes
-from ...base.frames import inverse, rigid, transform_points
-from ...base.progress import UNWATCHED, ProgressMeter
-from ...base.streams import EMPTIED_BIN
-from ...cell.simulate import mixed_counts
-from ...rendering import Renderer
-from ...rig.optics import project
-from ...world.drop import drop
+from ....base.color import srgb_of_bytes
+from ....base.frames import inverse, rigid, transform_points
+from ....base.progress import UNWATCHED, ProgressMeter
+from ....base.streams import EMPTIED_BIN
+from ....cell.simulate import mixed_counts
+from ....rendering import Renderer
+from ....rig.optics import project
+from ....world.drop import drop
+from ..arm.ways import Blocked, Ways
+from ..outcome import TAKEN, Attempt, Outcome
 from .bin_scan import BinScan, scan, targets
 from .carry import BinState, carry_out
 from .choose import choose
 from .clock import Clock
-from .outcome import TAKEN, Attempt, Outcome
 from .pick_sections import PickingSection
 from .ready import Ready
-from .ways import Blocked, Ways
 
 POSE_STEP_S = 0.05
 _GOOD, _BAD, _PART = (63, 158, 47), (200, 56, 90), (242, 177, 52)

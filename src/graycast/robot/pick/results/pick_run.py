@@ -5,14 +5,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...base.progress import UNWATCHED, ProgressMeter
-from ...base.usage import rss_bytes
-from ...cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
-from ...world.parts import Part
-from .episode import empty_bin
+from ....base.progress import UNWATCHED, ProgressMeter
+from ....base.usage import rss_bytes
+from ....cell.engine import ALONE, Failed, Job, TaskResult, WorkerRenderer, Workers, make_missing
+from ....world.parts import Part
+from ..bin.episode import empty_bin
+from ..bin.ready import Ready, make_ready
+from ..bin.robot_cell import PickCell
 from .pick_files import episode_files, open_picks
-from .ready import Ready, make_ready
-from .robot_cell import PickCell
 
 
 class BinEmptier:

@@ -19,14 +19,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from ...base.errors import DatasetError, GraycastError
-from ...base.file_limits import parse_json
-from ...base.folder import claimed_folder, new_folder, write_whole
-from ...cell.generate import described_scanner
-from ...dataset.files.json_text import json_bytes
-from ...dataset.write.claim import BESIDE_CONFIG, make_claim, refuse_other
-from .episode import Episode
-from .robot_cell import PickCell
+from ....base.errors import DatasetError, GraycastError
+from ....base.file_limits import parse_json
+from ....base.folder import claimed_folder, new_folder, write_whole
+from ....cell.generate import described_scanner
+from ....dataset.files.json_text import json_bytes
+from ....dataset.write.claim import BESIDE_CONFIG, make_claim, refuse_other
+from ..bin.episode import Episode
+from ..bin.robot_cell import PickCell
 
 CLAIM, BINS = "picks.json", "bins"
 EPISODE, MOTION, WORK = "episode.json", "motion.json", "work.json"

@@ -13,9 +13,9 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
-from ...base.errors import ConfigError
-from ...base.frames import rigid
-from ...base.public_value import public_value
+from ....base.errors import ConfigError
+from ....base.frames import rigid
+from ....base.public_value import public_value
 from .arms import ARMS, URDF
 
 Joints = Float[np.ndarray, "q"]

@@ -13,17 +13,17 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import ValidationError
 
-from ...base.errors import GraycastError
-from ...base.file_limits import parse_json
-from ...dataset.write.claim import BESIDE_CONFIG
-from ...world.parts import Mesh
-from .outcome import TAKEN
+from ....base.errors import GraycastError
+from ....base.file_limits import parse_json
+from ....dataset.write.claim import BESIDE_CONFIG
+from ....world.parts import Mesh
+from ..arm.robot import Robot, open_robot
+from ..bin.pick_sections import PickConfig
+from ..bin.robot_cell import PickCell, resolve_pick_cell
+from ..outcome import TAKEN
+from ..tool.solids import joined, shape_mesh
+from ..tool.tools import T_flange_tip, Tool
 from .pick_files import BINS, CLAIM, MOTION, StoredEpisode
-from .pick_sections import PickConfig
-from .robot import Robot, open_robot
-from .robot_cell import PickCell, resolve_pick_cell
-from .solids import joined, shape_mesh
-from .tools import T_flange_tip, Tool
 
 AT_GRIP_M = 1e-3  # largest distance of the tip from its target at the grip, for rounded angles
 

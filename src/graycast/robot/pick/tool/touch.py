@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...base.frames import inverse
-from ...world.drop import Body
-from ...world.parts import Part
+from ....base.frames import inverse
+from ....world.drop import Body
+from ....world.parts import Part
+from ..arm.obstacles import hull
+from ..outcome import Outcome
 from .contact import NoGrip, PartGrip
-from .obstacles import hull
-from .outcome import Outcome
 from .tools import T_flange_tip, Tool
 
 PUSHED_M = 2e-3  # If a tool penetrates a part by less than this, it pushes the part aside.

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...base.frames import inverse, transform_points
-from ...base.public_value import public_value
-from ...world.drop import Hold
-from ...world.parts import Mesh, Part
-from .outcome import Outcome
+from ....base.frames import inverse, transform_points
+from ....base.public_value import public_value
+from ....world.drop import Hold
+from ....world.parts import Mesh, Part
+from ..outcome import Outcome
 
 LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # the tool's `load_factor` in `grasp`
 

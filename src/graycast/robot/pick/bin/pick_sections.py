@@ -5,11 +5,11 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from ...base.settings import Level, Positive, Settings, Share, Vector, read_settings
-from ...cell.config import Config
-from .arms import ARMS
-from .suction_tool import SuctionTool
-from .tools import AnyTool
+from ....base.settings import Level, Positive, Settings, Share, Vector, read_settings
+from ....cell.config import Config
+from ..arm.arms import ARMS
+from ..tool.suction_tool import SuctionTool
+from ..tool.tools import AnyTool
 
 
 class RobotSection(Settings):

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ...base.errors import ConfigError
-from ...base.frames import transform_points
-from ...world.parts import Mesh
+from ....base.errors import ConfigError
+from ....base.frames import transform_points
+from ....world.parts import Mesh
 
 ROUND = 24  # number of sides in the mesh of a round shape
 

@@ -6,19 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ...base.frames import inverse
-from ...score.evaluate.pose_errors import rotation_translation
-from ...world.drop import Lift, lift, parts_outside, simulate
-from ...world.drop.lift import STEP_S
-from ...world.scene import Layout
+from ....base.frames import inverse
+from ....score.evaluate.pose_errors import rotation_translation
+from ....world.drop import Lift, lift, parts_outside, simulate
+from ....world.drop.lift import STEP_S
+from ....world.scene import Layout
+from ..arm.robot import Joints
+from ..arm.ways import Ways
+from ..outcome import TAKEN, WRONG_M, WRONG_RAD, Outcome
+from ..tool.contact import NoGrip, PartGrip
+from ..tool.touch import touch
 from .aim import Aim
 from .choose import Choice
-from .contact import NoGrip, PartGrip
-from .outcome import TAKEN, WRONG_M, WRONG_RAD, Outcome
 from .ready import Ready
-from .robot import Joints
-from .touch import touch
-from .ways import Ways
 
 FREED_M = 0.1  # Within this distance of a picked part, failed grips may be tried again.
 

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base import array_types as arrays
-from ...base.errors import ConfigError
-from ...base.frames import axis_rotation, rigid
-from ...base.progress import UNWATCHED, ProgressMeter
-from ...base.public_value import public_value
-from ...cell.resolve import Cell, refuse_several, resolve_cell
-from ...dataset.read.detections import WEIGHTS
-from ...world.scene import Bin, bin_of
-from .arms import ARMS
+from ....base import array_types as arrays
+from ....base.errors import ConfigError
+from ....base.frames import axis_rotation, rigid
+from ....base.progress import UNWATCHED, ProgressMeter
+from ....base.public_value import public_value
+from ....cell.resolve import Cell, refuse_several, resolve_cell
+from ....dataset.read.detections import WEIGHTS
+from ....world.scene import Bin, bin_of
+from ..arm.arms import ARMS
 from .pick_sections import PickConfig
 
 

@@ -18,11 +18,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from ...base.frames import inverse, rigid, transform_points
-from ...rig.meshdepth import visible_surface
-from ...rig.optics import Optics, picture_rays, points
-from ...world.parts import Mesh
-from ...world.scene import TABLE_HALF_M, Bin, Scene, bin_mesh, bin_of
+from ....base.frames import inverse, rigid, transform_points
+from ....rig.meshdepth import visible_surface
+from ....rig.optics import Optics, picture_rays, points
+from ....world.parts import Mesh
+from ....world.scene import TABLE_HALF_M, Bin, Scene, bin_mesh, bin_of
 from .robot import Obstacle
 
 CELL_M = 4e-3

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from ...base.frames import inverse, transform_points
-from ..grasp import DepthView, Doubt, patch_of_depth
+from ....base.frames import inverse, transform_points
+from ...grasp import DepthView, Doubt, patch_of_depth
+from ..arm.obstacles import heap_obstacle, measured_heap, measured_points
+from ..arm.robot import Joints, Obstacle, tool_touches
+from ..arm.ways import Blocked, Load, Ways, WaySearch
+from ..outcome import Outcome
 from .aim import PLACES, Aim, Candidate, aims_by_pose, aims_in_depth, ranked, spread, trial_order
 from .clock import Clock
-from .obstacles import heap_obstacle, measured_heap, measured_points
-from .outcome import Outcome
 from .ready import Ready
-from .robot import Joints, Obstacle, tool_touches
-from .ways import Blocked, Load, Ways, WaySearch
 
 TABU_M = 0.015  # No grip this near to a failed grip is tried before a part near it is picked.
 BLOCKED_M = 0.04  # Grips this near to an unreachable grip are tried last.

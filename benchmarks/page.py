@@ -21,7 +21,7 @@ from graycast.cell.config import load_config, resolve_quality
 from graycast.cell.generate import depth_step_mm
 from graycast.cell.resolve import open_cell_renderer, resolve_cell
 from graycast.cell.simulate import make_scene
-from graycast.dataset.store import open_store
+from graycast.dataset.write.store import open_store
 from graycast.rendering import open_renderer
 from graycast.rig.pattern import Code, gray, gray_phase, multi_frequency
 from graycast.world.drop import DropLimits, drop

@@ -16,11 +16,11 @@ from pycocotools import mask as coco_mask
 from graycast.base.errors import GraycastError
 from graycast.base.folder import new_folder
 from graycast.base.frames import transform_points
-from graycast.dataset.detections import Detections
 from graycast.dataset.export.split import Split
-from graycast.dataset.models import StoredModel, read_models
-from graycast.dataset.pose_results import PoseEstimate, pose_results_text
+from graycast.dataset.read.detections import Detections
+from graycast.dataset.read.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.training import Example, Examples, open_examples
+from graycast.dataset.write.models import StoredModel, read_models
 from graycast.rig.meshdepth import rasterize
 from graycast.robot.pose import PoseMatch, PoseModel, find_pose, find_pose_in_box, pose_model
 from graycast.score.evaluate import rotation_translation, wilson

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float
 from graycast.camera.decode import Reason
 from graycast.cell.generate import generate
 from graycast.cell.resolve import Cell, load_cell
-from graycast.dataset.scene_folder import AnyView, SceneFolder
+from graycast.dataset.files.scene_folder import AnyView, SceneFolder
 from graycast.real.realism import DepthScan
 from graycast.real.realism.measure import measure_all, pool
 from graycast.real.rescan.open_source import open_source

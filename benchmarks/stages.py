@@ -100,8 +100,8 @@ def images(work: Path, number: int) -> Iterator[Job]:
 
 def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iterator[Job]:
     from graycast.cell import simulate
-    from graycast.dataset.checking import validate
-    from graycast.dataset.store import open_store
+    from graycast.dataset.check.checking import validate
+    from graycast.dataset.write.store import open_store
 
     # `make_scene` makes the manifests, which must fit the dataset, from existing layout and light.
     simulation: Any = simulate

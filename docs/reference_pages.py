@@ -22,7 +22,7 @@ from graycast.camera.stack.description import StackDescription
 from graycast.cell.config import Config
 from graycast.cli.command import _parser
 from graycast.learn.study_file import StudySpec
-from graycast.robot.pick.pick_sections import PickConfig
+from graycast.robot.pick.bin.pick_sections import PickConfig
 from graycast.score.design.study import DesignSpec
 from graycast.world.parts import MATERIALS
 from graycast.world.parts.material_presets import OUR_CHOICE, MaterialPreset

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from graycast.base.frames import axis_rotation, inverse, rigid
-from graycast.dataset.stored import open_dataset
+from graycast.dataset.read.stored import open_dataset
 from graycast.score.merge import fuse, read_view
 
 SENSOR, WRONG = "gray", 2  # a scanner of configs/views.yaml, and the index of the changed view

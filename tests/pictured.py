@@ -8,7 +8,7 @@ from dataset.captured import scanned, toed_in
 from dataset.prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
 
 from graycast.camera.scanner import Scanner
-from graycast.dataset.store import open_store
+from graycast.dataset.write.store import open_store
 
 LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)
 CODE = {

@@ -14,9 +14,9 @@ import pytest
 from graycast.base.frames import axis_rotation, inverse, look_at, pixel_grid, rigid
 from graycast.base.streams import scene_seeds
 from graycast.camera.decode import DepthMap, Reason
-from graycast.dataset.claim import Taker
-from graycast.dataset.sample import Sample
-from graycast.dataset.store import open_store
+from graycast.dataset.files.sample import Sample
+from graycast.dataset.write.claim import Taker
+from graycast.dataset.write.store import open_store
 from graycast.rendering.radiance import GroundTruth, Silhouette
 from graycast.rig.optics import Optics, rays
 from graycast.rig.pair import Rig

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from graycast.dataset.export import Options, Split, export
-from graycast.dataset.store import open_store
+from graycast.dataset.write.store import open_store
 
 sys.path.append(str(Path(__file__).parent / "dataset"))
 from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part

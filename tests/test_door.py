@@ -16,7 +16,7 @@ from small_cell import content, write_cell
 import graycast
 from graycast.base.errors import DatasetError
 from graycast.cell.generate import generate
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 
 SOURCE = Path(graycast.__file__)
 

@@ -18,7 +18,7 @@ from stage import DARK, centred, lambert, make_rig, wall
 
 from graycast.camera.rig_file import save_scanner
 from graycast.camera.scanner import Scanner, take
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 from graycast.rendering import Quality, open_renderer
 from graycast.rig.pattern import CodeSpec
 from graycast.world.scene import EMPTY_LAYOUT, Scene

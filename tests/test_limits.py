@@ -33,8 +33,9 @@ SOURCE = ROOT / "src" / "graycast"
 # planes in highlights and fitted mottle; 300 for dividing a scan into materials; and 100 for names
 # of array types in editors. Then came 1,000 for the probability of a wrong depth, its evidence and
 # its use by datasets, clouds, merges, grips and detectors; and 200 for fits of materials in Python,
-# from pictures, and with plain Gray codes.
-MOST_LINES = 79_900
+# from pictures, and with plain Gray codes. Then came 50 for folders within `dataset` and
+# `robot.pick`, whose docstrings list their modules.
+MOST_LINES = 79_950
 # This is the number of words in README.md and in the pages of docs that people write. 44,000 words
 # describe the program without the materials of scans. 1,800 were added for fitting and using a
 # material, tables of materials and classes, a repeated scan of metal, and depth at edges. 3,400
@@ -49,7 +50,7 @@ LONG_FUNCTIONS: dict[str, int] = {}
 MANY_ARGUMENTS = {
     "cell/generate.py generate": 9,
     "robot/grasp_labels/label_run.py label_dataset": 9,
-    "robot/pick/pick_run.py pick": 9,
+    "robot/pick/results/pick_run.py pick": 9,
 }
 
 

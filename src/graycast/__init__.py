@@ -79,9 +79,9 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .cell.simulate import make_images as make_images
     from .cell.simulate import make_scene as make_scene
     from .cell.views import ViewSection as ViewSection
-    from .dataset.checking import validate as validate
-    from .dataset.detections import Detections as Detections
+    from .dataset.check.checking import validate as validate
     from .dataset.export.split import Split as Split
+    from .dataset.read.detections import Detections as Detections
     from .dataset.training import Example as Example
     from .dataset.training import open_examples as open_examples
     from .learn.detect import TrainSpec as TrainSpec
@@ -155,8 +155,8 @@ _MODULE = {
         "camera.scanner": "Scanner measure preset take",
         "camera.sensor": "Capture SensorSpec",
         "camera.stack": "decode_stack describe_code",
-        "dataset.checking": "validate",
-        "dataset.detections": "Detections",
+        "dataset.check.checking": "validate",
+        "dataset.read.detections": "Detections",
         "dataset.export.split": "Split",
         "dataset.training": "Example open_examples",
         "cell.config": "BinSection Config LightSection RenderSection load_config",

@@ -27,7 +27,7 @@ from graycast.camera.rig_file import missing_distortions
 from graycast.camera.stack.stack_pictures import read_pictures
 from graycast.cell.config import EnvironmentSection, resolve_environment
 from graycast.cli import main
-from graycast.dataset.safe_reading import Unreadable, read_png
+from graycast.dataset.files.safe_reading import Unreadable, read_png
 from graycast.real.depth_file import FileOptions, read_image, read_intrinsics
 from graycast.real.picture_pairs import RealPicture, read_shot
 from graycast.world.parts.material_section import read_texture

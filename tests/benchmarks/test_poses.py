@@ -5,7 +5,7 @@ import pytest
 from simulated_dataset import master, master_and_samples, samples  # noqa: F401
 
 from benchmarks.poses import CASES, measure, scaled
-from graycast.dataset.pose_results import read_pose_results
+from graycast.dataset.read.pose_results import read_pose_results
 
 
 def test_a_box_is_enlarged_about_its_middle():

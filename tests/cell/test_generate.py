@@ -26,7 +26,7 @@ from graycast.cell.generate import generate, read_origin, rerender
 from graycast.cell.resolve import resolve_cell
 from graycast.cell.simulate import counts_of
 from graycast.cli import main
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 from graycast.dataset.export import Options, export
 from graycast.dataset.stats import dataset_statistics
 from graycast.dataset.training import open_examples

@@ -15,8 +15,8 @@ from graycast.cell.config import load_config, resolve_quality
 from graycast.cell.generate import generate, rerender, save_scene
 from graycast.cell.resolve import resolve_cell
 from graycast.cell.simulate import make_images, make_scene
-from graycast.dataset.checking import validate
-from graycast.dataset.stored import open_dataset
+from graycast.dataset.check.checking import validate
+from graycast.dataset.read.stored import open_dataset
 from graycast.rig.optics import project, rays
 
 pytestmark = pytest.mark.slow

@@ -35,7 +35,7 @@ from graycast.real.depth_file import DEPTH_FILES
 from graycast.rendering.trial import Trial
 from graycast.rig.pair import PRESETS
 from graycast.robot.grasp_labels.label_options import ToolFile
-from graycast.robot.pick.pick_sections import PickConfig
+from graycast.robot.pick.bin.pick_sections import PickConfig
 from graycast.score.design.study import DesignSpec
 from graycast.show.report import rig_picture as drawing
 from graycast.show.report.page import WIDTH_PX

@@ -27,7 +27,7 @@ from graycast.base.errors import GraycastError
 from graycast.camera.decode import Reason
 from graycast.cell.engine import Failed
 from graycast.cli import main, robot_commands
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 from graycast.dataset.export import Split
 from graycast.real.rescan import open_source, rescanning
 from graycast.real.rescan.source import SourceOptions
@@ -244,7 +244,7 @@ def test_a_preview_is_not_written_if_it_is_stopped_during_trials(capsys, monkeyp
 
 def test_a_stopped_page_of_a_rescan_leaves_no_file(capsys, monkeypatch, tmp_path):
     """It is written in one piece; the message used to say that the finished scenes were kept."""
-    monkeypatch.setattr("graycast.dataset.rescanned.is_rescanned", lambda _: True)
+    monkeypatch.setattr("graycast.dataset.read.rescanned.is_rescanned", lambda _: True)
     monkeypatch.setattr("graycast.show.report.rescan_page.write_rescan_page", stop)
     page = tmp_path / "page"
     assert stopped(capsys, "report", tmp_path, "--out", page) == "nothing was written"

@@ -8,7 +8,7 @@ from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid, tran
 from graycast.camera.decode import Reason
 from graycast.camera.scanner import Scanner, measure
 from graycast.camera.sensor import auto_exposure_s, expose, merge_exposures
-from graycast.dataset.sample import Raw
+from graycast.dataset.files.sample import Raw
 from graycast.rig.optics import Optics, project, rays
 from graycast.rig.pattern import level_share
 

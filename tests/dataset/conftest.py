@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
 
-from graycast.dataset.store import open_store
+from graycast.dataset.write.store import open_store
 
 
 @pytest.fixture(scope="session")

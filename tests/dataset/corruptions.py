@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from graycast.camera.decode import Reason
-from graycast.dataset.claim import fingerprint
-from graycast.dataset.seal import sealed, sha256
+from graycast.dataset.files.seal import sealed, sha256
+from graycast.dataset.write.claim import fingerprint
 
 SCENE, OTHER = "train/000000", "train/000001"
 

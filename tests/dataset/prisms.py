@@ -7,7 +7,7 @@ import numpy as np
 from graycast.base.frames import random_quaternions, rigid, rotation_from_quaternion
 from graycast.base.streams import image_seeds, scene_seeds
 from graycast.camera.decode import DepthMap, Reason
-from graycast.dataset.sample import Sample
+from graycast.dataset.files.sample import Sample
 from graycast.rendering.radiance import GroundTruth, Silhouette
 from graycast.rig.optics import Optics
 from graycast.rig.pair import Rig

@@ -14,9 +14,9 @@ from prisms import SCALE_MM, box_part, build_sample, wedge_part
 from graycast.base.errors import DatasetError
 from graycast.base.frames import inverse, pixel_grid, transform_points
 from graycast.camera.decode import Reason
-from graycast.dataset.bop import scene_files
-from graycast.dataset.models import diameter, model_files, models_info
-from graycast.dataset.picture_bytes import depth_scale_mm
+from graycast.dataset.write.bop import scene_files
+from graycast.dataset.write.models import diameter, model_files, models_info
+from graycast.dataset.write.picture_bytes import depth_scale_mm
 from graycast.rig.optics import project, rays
 
 

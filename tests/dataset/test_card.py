@@ -11,9 +11,9 @@ from pictured import forget, write_dataset
 from graycast.base.errors import DatasetError, GraycastError
 from graycast.dataset import card
 from graycast.dataset.card import write_card
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
+from graycast.dataset.read.stored import open_dataset
 from graycast.dataset.stats import dataset_statistics
-from graycast.dataset.stored import open_dataset
 
 pytestmark = pytest.mark.slow
 

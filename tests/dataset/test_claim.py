@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from prisms import box_part, make_rig
 
-from graycast.dataset.claim import described_values, fingerprint, make_claim, rig_of
+from graycast.dataset.write.claim import described_values, fingerprint, make_claim, rig_of
 from graycast.world.parts import Grain, Material, Mesh, Part, Symmetry
 
 BOX = box_part()

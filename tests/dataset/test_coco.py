@@ -9,7 +9,7 @@ from PIL import Image
 from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 
-from graycast.dataset.coco import run_lengths
+from graycast.dataset.write.coco import run_lengths
 from graycast.rendering.radiance import Silhouette
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.

@@ -20,7 +20,7 @@ from graycast.cell.config import load_config
 from graycast.cell.generate import generate
 from graycast.cell.resolve import resolve_cell
 from graycast.cli import main
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 from graycast.rig.pair import preset_rig
 
 

@@ -9,10 +9,10 @@ import pytest
 from prisms import CONFIG, SEED, box_part, build_sample, make_rig, wedge_part
 
 from graycast.base.errors import DatasetError
-from graycast.dataset.bop import scene_files
-from graycast.dataset.checking import validate
-from graycast.dataset.sample import labelled
-from graycast.dataset.store import open_store
+from graycast.dataset.check.checking import validate
+from graycast.dataset.files.sample import labelled
+from graycast.dataset.write.bop import scene_files
+from graycast.dataset.write.store import open_store
 from graycast.world.scene import Scene
 
 BOX, WEDGE = box_part(), wedge_part()

@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from graycast.dataset.checking import validate
-from graycast.dataset.plain_scene import transform_of
+from graycast.dataset.check.checking import validate
+from graycast.dataset.check.plain_scene import transform_of
 
 JAWS = {"kind": "jaws", "jaws": {"opening_m": 0.06}}
 

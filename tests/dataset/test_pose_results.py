@@ -5,7 +5,12 @@ import pytest
 
 from graycast.base.errors import GraycastError
 from graycast.base.frames import rigid, rotation_from_quaternion
-from graycast.dataset.pose_results import HEADER, PoseEstimate, pose_results_text, read_pose_results
+from graycast.dataset.read.pose_results import (
+    HEADER,
+    PoseEstimate,
+    pose_results_text,
+    read_pose_results,
+)
 
 ONE = "3,0,1,0.5,1 0 0 0 1 0 0 0 1,10 20 900,0.25"
 

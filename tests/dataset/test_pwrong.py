@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from graycast.base.ply import read_vertices
-from graycast.dataset.checking import validate
-from graycast.dataset.example import probabilities
+from graycast.dataset.check.checking import validate
 from graycast.dataset.export import Options, Split, export
-from graycast.dataset.picture_bytes import probability_steps
-from graycast.dataset.stored import open_dataset
+from graycast.dataset.read.example import probabilities
+from graycast.dataset.read.stored import open_dataset
+from graycast.dataset.write.picture_bytes import probability_steps
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

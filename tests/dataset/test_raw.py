@@ -18,14 +18,14 @@ from graycast.camera.scanner import ExposureSpec, Scanner
 from graycast.camera.sensor import SensorSpec
 from graycast.camera.stack import decode_stack
 from graycast.cli import main
-from graycast.dataset import records
-from graycast.dataset.bop import scene_files
-from graycast.dataset.checking import validate
-from graycast.dataset.raw import read_capture, read_code_maps
-from graycast.dataset.raw_check import raw_problems
-from graycast.dataset.safe_reading import read_json
-from graycast.dataset.sample import Raw
-from graycast.dataset.scene_folder import SceneFolder
+from graycast.dataset.check.checking import validate
+from graycast.dataset.check.raw_check import raw_problems
+from graycast.dataset.files import records
+from graycast.dataset.files.safe_reading import read_json
+from graycast.dataset.files.sample import Raw
+from graycast.dataset.files.scene_folder import SceneFolder
+from graycast.dataset.write.bop import scene_files
+from graycast.dataset.write.raw import read_capture, read_code_maps
 from graycast.rig.pattern import CodeSpec
 
 LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)

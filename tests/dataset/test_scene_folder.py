@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import DatasetError
-from graycast.dataset.records import Images
-from graycast.dataset.safe_reading import Unreadable
-from graycast.dataset.scene_folder import AnyPose, AnyView, SceneFolder
+from graycast.dataset.files.records import Images
+from graycast.dataset.files.safe_reading import Unreadable
+from graycast.dataset.files.scene_folder import AnyPose, AnyView, SceneFolder
 from graycast.real.realism import read_scans
 
 K = [50.0, 0, 19.5, 0, 50.0, 14.5, 0, 0, 1]

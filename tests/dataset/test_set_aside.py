@@ -5,7 +5,7 @@ import json
 import pytest
 
 from graycast.base.errors import DatasetError
-from graycast.dataset.set_aside import SetAside, SetAsideFile
+from graycast.dataset.write.set_aside import SetAside, SetAsideFile
 
 
 def aside(scene_id, reason="no rest"):

@@ -13,13 +13,13 @@ from pycocotools.coco import COCO
 
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, rigid
-from graycast.dataset.checking import validate
-from graycast.dataset.claim import Taker
-from graycast.dataset.pose_results import PoseEstimate, pose_results_text
-from graycast.dataset.scene_content import scene_content
-from graycast.dataset.store import open_store
-from graycast.dataset.stored import open_dataset
+from graycast.dataset.check.checking import validate
+from graycast.dataset.read.pose_results import PoseEstimate, pose_results_text
+from graycast.dataset.read.scene_content import scene_content
+from graycast.dataset.read.stored import open_dataset
 from graycast.dataset.training import open_examples
+from graycast.dataset.write.claim import Taker
+from graycast.dataset.write.store import open_store
 from graycast.score.evaluate import Protocol, evaluate_poses
 
 # Pose of each image in the frame of the first one.

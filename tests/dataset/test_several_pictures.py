@@ -8,9 +8,9 @@ from several_pictures import NAMES, SCENES, several  # noqa: F401
 
 from graycast.dataset.card import write_card
 from graycast.dataset.export import Options, Split, export
-from graycast.dataset.scene_content import scene_content
+from graycast.dataset.read.scene_content import scene_content
+from graycast.dataset.read.stored import open_dataset
 from graycast.dataset.stats import dataset_statistics, stats_plots
-from graycast.dataset.stored import open_dataset
 from graycast.dataset.training import open_examples
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import DatasetError
-from graycast.dataset import store as store_module
+from graycast.dataset.write import store as store_module
 
 
 def content(out: Path, *, timings: bool = True):
@@ -237,7 +237,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from prisms import box_part, build_sample, make_rig, wedge_part
-from graycast.dataset.store import open_store
+from graycast.dataset.write.store import open_store
 parts, rig = (box_part(), wedge_part()), make_rig()
 samples = {0: build_sample(0, parts=parts, rig=rig), 3: build_sample(3, parts=parts, rig=rig)}
 print("ready", flush=True)

@@ -9,8 +9,8 @@ import pytest
 from simulated_dataset import write_dataset
 
 from graycast.base.errors import DatasetError
-from graycast.dataset.scene_content import scene_content
-from graycast.dataset.stored import StoredScene, open_dataset
+from graycast.dataset.read.scene_content import scene_content
+from graycast.dataset.read.stored import StoredScene, open_dataset
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

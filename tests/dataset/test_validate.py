@@ -10,7 +10,7 @@ from backends import slow
 from PIL import Image
 
 from graycast.base.errors import DatasetError
-from graycast.dataset.checking import Problem, validate
+from graycast.dataset.check.checking import Problem, validate
 
 
 @pytest.fixture

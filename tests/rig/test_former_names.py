@@ -15,8 +15,8 @@ from graycast.cell.config import Config
 from graycast.cell.generate import generate, read_origin, rerender
 from graycast.cell.resolve import load_cell
 from graycast.cli.command import main
-from graycast.dataset.claim import fingerprint, make_claim, refuse_other
-from graycast.dataset.seal import differing_files
+from graycast.dataset.files.seal import differing_files
+from graycast.dataset.write.claim import fingerprint, make_claim, refuse_other
 from graycast.rig.former_names import current_name, with_current_names
 from graycast.rig.pair import PRESETS, preset_rig
 from graycast.score.design.study import DesignSpec

@@ -13,6 +13,6 @@ Each imports only from those above it:
     simulate         one scene, from its seeds (`base.streams`) to its sample
     remedies         changed settings that give the parts more depth, tried on a scene's light
     engine           workers that make scenes: this process, other processes, or a cluster
-    generate         many scenes of a cell in the folder of a dataset (`dataset.store`), and the
-                     missing scenes of a stopped run
+    generate         many scenes of a cell in the folder of a dataset (`dataset.write.store`), and
+                     the missing scenes of a stopped run
 """

@@ -19,15 +19,15 @@ from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.public_value import public_value
 from ..camera.decode import pooled_shares
 from ..camera.scanner import Scanner
-from ..dataset.bop import scene_files
-from ..dataset.claim import BESIDE_CONFIG, Taker, described_values, make_claim, refuse_other
-from ..dataset.picture_bytes import depth_scale_mm
-from ..dataset.places import CLAIM
-from ..dataset.records import Claim
-from ..dataset.safe_reading import Unreadable, read_json
-from ..dataset.seal import differing_files
-from ..dataset.set_aside import SetAside, SetAsideFile
-from ..dataset.store import open_store
+from ..dataset.files.places import CLAIM
+from ..dataset.files.records import Claim
+from ..dataset.files.safe_reading import Unreadable, read_json
+from ..dataset.files.seal import differing_files
+from ..dataset.write.bop import scene_files
+from ..dataset.write.claim import BESIDE_CONFIG, Taker, described_values, make_claim, refuse_other
+from ..dataset.write.picture_bytes import depth_scale_mm
+from ..dataset.write.set_aside import SetAside, SetAsideFile
+from ..dataset.write.store import open_store
 from ..rig.pair import PRESETS
 from .config import Config
 from .engine import ALONE, Failed, SceneMaker, SceneTask, TaskResult, Workers, make_missing

@@ -22,9 +22,9 @@ from ..camera.decode import CodeMap, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
 from ..camera.scanner import measure, take
 from ..camera.sensor import Capture
-from ..dataset.claim import described_values
-from ..dataset.json_text import plain
-from ..dataset.sample import Raw, Sample
+from ..dataset.files.json_text import plain
+from ..dataset.files.sample import Raw, Sample
+from ..dataset.write.claim import described_values
 from ..rendering import GroundTruth, Radiance, Renderer, Rendering
 from ..world.drop import PARTS_MAX, drop
 from ..world.parts import Part, full_count

@@ -5,8 +5,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from ..base.errors import DatasetError
-from ..dataset.seal import sha256
-from ..dataset.stored import StoredDataset
+from ..dataset.files.seal import sha256
+from ..dataset.read.stored import StoredDataset
 from ..world.scene import Bin
 from .config import BinSection, resolve_bin
 

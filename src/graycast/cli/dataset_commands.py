@@ -280,8 +280,8 @@ def _merge(options: argparse.Namespace) -> int:
 
 
 def _import(options: argparse.Namespace) -> int:
-    from ..dataset.real import absent
-    from ..dataset.stored import open_dataset
+    from ..dataset.read.real import absent
+    from ..dataset.read.stored import open_dataset
     from ..real.import_real import import_real
 
     names = range_m = None

@@ -155,7 +155,7 @@ def _pick(options: argparse.Namespace) -> int:
 def _with_options(config, options: argparse.Namespace):
     """Return the configuration, changed by the options of the command line and checked again."""
     from ..base.settings import check_settings
-    from ..robot.pick.pick_sections import PickConfig
+    from ..robot.pick.bin.pick_sections import PickConfig
 
     changed = {}
     if options.detector is not None:

@@ -311,8 +311,8 @@ def _live(options: argparse.Namespace) -> int:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from ..dataset.checking import validate
-    from ..dataset.real import absent
+    from ..dataset.check.checking import validate
+    from ..dataset.read.real import absent
 
     problems = validate(options.dataset, fast=options.fast)
     for problem in problems:
@@ -326,7 +326,7 @@ def _validate(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from ..dataset.rescanned import is_rescanned
+    from ..dataset.read.rescanned import is_rescanned
     from ..show.report.page import write_report
     from ..show.report.rescan_page import write_rescan_page
 

@@ -174,7 +174,7 @@ def _schema(options: argparse.Namespace) -> None:
     from ..cell.config import Config
     from ..learn.study_file import StudySpec
     from ..robot.grasp_labels.label_options import ToolFile
-    from ..robot.pick.pick_sections import PickConfig
+    from ..robot.pick.bin.pick_sections import PickConfig
     from ..score.design.study import DesignSpec
 
     models: tuple[Any, ...] = (

@@ -23,13 +23,13 @@ from ..base.color import srgb_of_bytes
 from ..base.errors import GraycastError
 from ..base.folder import beside
 from ..camera.decode import REASON_COLOR, Reason, little_depth_note
-from .claim import BESIDE_CONFIG
-from .json_text import plain
-from .places import finished_scenes
-from .safe_reading import Unreadable, read_json
-from .scene_content import SceneContent, scene_content
+from .files.json_text import plain
+from .files.places import finished_scenes
+from .files.safe_reading import Unreadable, read_json
+from .read.scene_content import SceneContent, scene_content
+from .read.stored import StoredDataset, StoredScene, open_dataset
 from .stats import Statistics, draw_statistics, scene_figures, statistics_json, tally
-from .stored import StoredDataset, StoredScene, open_dataset
+from .write.claim import BESIDE_CONFIG
 
 CARD = "README.md"
 FOLDER = "card"  # The card's pictures are in this folder.

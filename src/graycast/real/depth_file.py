@@ -15,7 +15,7 @@ from ..base.errors import DatasetError
 from ..base.file_limits import load_array, parse_json, refuse_large_picture, refuse_turned
 from ..base.folder import visible_entries
 from ..base.ply import COLORS, read_vertices
-from ..dataset.example import known_depth
+from ..dataset.read.example import known_depth
 from ..rig.optics import Optics, optics_of, picture_rays
 
 NO_CAMERA = "the file does not state its camera: give the intrinsics (--intrinsics fx,fy,cx,cy)"

@@ -12,9 +12,9 @@ from PIL import Image, UnidentifiedImageError
 from ..base.errors import DatasetError
 from ..base.file_limits import refuse_large_picture
 from ..base.folder import visible_entries
-from ..dataset.picture_bytes import DEPTH_MAX, depth_scale_mm
-from ..dataset.safe_reading import Unreadable, read_png
-from ..dataset.scene_folder import PICTURES
+from ..dataset.files.safe_reading import Unreadable, read_png
+from ..dataset.files.scene_folder import PICTURES
+from ..dataset.write.picture_bytes import DEPTH_MAX, depth_scale_mm
 from .depth_file import (
     DEPTH_FILES,
     NO_CAMERA,

@@ -12,9 +12,9 @@ from graycast.cell.config import load_config
 from graycast.cell.domain import vary
 from graycast.cell.resolve import open_cell_renderer, resolve_cell
 from graycast.cell.simulate import make_scene
-from graycast.dataset.checking import validate
-from graycast.dataset.picture_bytes import depth_scale_mm
-from graycast.dataset.store import open_store
+from graycast.dataset.check.checking import validate
+from graycast.dataset.write.picture_bytes import depth_scale_mm
+from graycast.dataset.write.store import open_store
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ from graycast.base.errors import ConfigError
 from graycast.base.frames import axis_rotation, inverse, rigid, transform_points
 from graycast.cell.domain import draw, resolve_domain, vary
 from graycast.cell.domain.vary import lamp_of, shared_out
-from graycast.dataset.json_text import json_bytes
+from graycast.dataset.files.json_text import json_bytes
 from graycast.rig.pair import frame_in_camera, place
 from graycast.world.parts import Material
 from graycast.world.scene import lamp_quad

@@ -14,7 +14,7 @@ from small_cell import content, finished, start
 
 from graycast.cell.engine.cluster import gpu_share
 from graycast.cli import main
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 
 RAY = Path(sys.executable).with_name("ray")
 needs_ray = pytest.mark.skipif(not RAY.exists(), reason="Ray is missing: pip install 'ray>=2.40'")

@@ -20,7 +20,7 @@ from graycast.base.errors import WorkerDied
 from graycast.cell.engine import Failed, SceneTask, TaskResult, make_all
 from graycast.cell.engine import local as local_module
 from graycast.cell.engine.local import LocalPool, _deaf_to_interrupts, list_gpus
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 
 
 def workers_of(pid):

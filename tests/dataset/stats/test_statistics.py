@@ -11,7 +11,8 @@ from pictured import SCALE_MM, forget, write_dataset
 
 from graycast.base.errors import DatasetError
 from graycast.camera.decode import Reason
-from graycast.dataset.scene_content import scene_content
+from graycast.dataset.read.scene_content import scene_content
+from graycast.dataset.read.stored import open_dataset
 from graycast.dataset.stats import (
     dataset_statistics,
     scene_figures,
@@ -20,7 +21,6 @@ from graycast.dataset.stats import (
     stats_plots,
     write_statistics,
 )
-from graycast.dataset.stored import open_dataset
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from simulated_dataset import SCALE_MM, visible
 from graycast.base.errors import DatasetError
 from graycast.base.frames import inverse
 from graycast.dataset.export import Split
-from graycast.dataset.seal import OWN, SUMS, sealed
+from graycast.dataset.files.seal import OWN, SUMS, sealed
 from graycast.dataset.training import open_examples
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
@@ -52,7 +52,7 @@ class Absent(importlib.abc.MetaPathFinder):
             raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 
 sys.meta_path.insert(0, Absent())
-from graycast.dataset.seal import OWN, SUMS, sealed
+from graycast.dataset.files.seal import OWN, SUMS, sealed
 from graycast.dataset.training import open_examples
 
 read = [open_examples(Path(folder))[1] for folder in sys.argv[2:]]

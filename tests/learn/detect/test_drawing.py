@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pycocotools import mask as coco_mask
 
-from graycast.dataset.detections import Detections
+from graycast.dataset.read.detections import Detections
 from graycast.learn.detect.drawing import cutout_of, draw_detections, plate_places
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import GraycastError
-from graycast.dataset.example import Example
+from graycast.dataset.read.example import Example
 from graycast.learn.detect.encoding import Encoding, encoding_from, fitting_size, noisy
 
 SIZE = (64, 96)

@@ -6,8 +6,8 @@ from pycocotools import mask as coco_mask
 
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
-from graycast.dataset.detections import Detections
-from graycast.dataset.example import Example
+from graycast.dataset.read.detections import Detections
+from graycast.dataset.read.example import Example
 from graycast.learn.detect.detecting import PictureSelection, detect
 from graycast.learn.detect.detector import About, Detector, _detections
 from graycast.learn.detect.encoding import Encoding

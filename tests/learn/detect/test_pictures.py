@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[
 from learn.detect.drawn import write_shapes
 
 from graycast.base.errors import GraycastError
-from graycast.dataset.example import Example
+from graycast.dataset.read.example import Example
 from graycast.dataset.training import open_examples
 from graycast.dataset.training.sources import Examples
 from graycast.learn.detect.encoding import Encoding

@@ -15,8 +15,8 @@ from learn.detect.drawn import write_shapes
 
 from graycast.base.errors import GraycastError
 from graycast.cli import main
-from graycast.dataset.detections import Detections, read_results
 from graycast.dataset.export.split import Split
+from graycast.dataset.read.detections import Detections, read_results
 from graycast.dataset.training import open_examples
 from graycast.learn import study_file
 from graycast.learn.detect import Detector

@@ -25,8 +25,8 @@ import graycast
 from benchmarks import detectors as bench_detectors
 from graycast.base.errors import GraycastError
 from graycast.cli import main
-from graycast.dataset.detections import read_results
 from graycast.dataset.export.split import Split
+from graycast.dataset.read.detections import read_results
 from graycast.dataset.training import open_examples
 from graycast.learn.detect import TrainSpec, detect, load_detector, pictures_of, train, training
 from graycast.learn.detect.detector import Detector, without_denormals

@@ -5,7 +5,7 @@ import pytest
 
 from graycast.base.errors import DatasetError
 from graycast.cli import main
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 from graycast.dataset.training import open_examples
 from graycast.real.depth_file import FileOptions
 from graycast.real.import_real import import_real

@@ -13,9 +13,9 @@ from simulated_dataset import SCALE_MM, visible, write_dataset
 
 from graycast.base.errors import DatasetError, GraycastError
 from graycast.cli import main
-from graycast.dataset.checking import validate
+from graycast.dataset.check.checking import validate
 from graycast.dataset.export import FORMATS, Options, export
-from graycast.dataset.real import absent
+from graycast.dataset.read.real import absent
 from graycast.dataset.training import open_examples
 from graycast.real.depth_file import FileOptions
 from graycast.real.import_real import import_real

@@ -12,9 +12,9 @@ import pytest
 from graycast.base.errors import DatasetError
 from graycast.camera.scanner import preset
 from graycast.cell.config import RenderSection
-from graycast.dataset.checking import validate
-from graycast.dataset.claim import claimed_options
+from graycast.dataset.check.checking import validate
 from graycast.dataset.training import open_examples
+from graycast.dataset.write.claim import claimed_options
 from graycast.real.rescan.open_source import open_source
 from graycast.real.rescan.rescanning import RescanSpec, RescanTask, _claim, rescan
 from graycast.real.rescan.source import SourceOptions

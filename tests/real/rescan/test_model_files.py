@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import ConfigError, DatasetError
-from graycast.dataset.models import model_files, models_info
+from graycast.dataset.write.models import model_files, models_info
 from graycast.real.rescan.model_files import bop_models, read_models
 from graycast.world.parts import builtin_part, material_preset
 

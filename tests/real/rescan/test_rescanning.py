@@ -22,10 +22,10 @@ from graycast.base.streams import image_seeds, rescan_seeds
 from graycast.camera.decode import Reason
 from graycast.camera.scanner import preset
 from graycast.cell.config import RenderSection
-from graycast.dataset.checking import validate
-from graycast.dataset.rescan_check import scene_records
-from graycast.dataset.rescanned import image_records
-from graycast.dataset.stored import open_dataset
+from graycast.dataset.check.checking import validate
+from graycast.dataset.check.rescan_check import scene_records
+from graycast.dataset.read.rescanned import image_records
+from graycast.dataset.read.stored import open_dataset
 from graycast.dataset.training import open_examples
 from graycast.dataset.training.foreign import is_foreign, open_foreign
 from graycast.real.rescan import rescan_folder

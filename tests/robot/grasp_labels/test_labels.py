@@ -10,9 +10,9 @@ from graycast.base.errors import DatasetError
 from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.cell.config import Config
 from graycast.cell.resolve import file_digests
-from graycast.dataset.claim import described_values
-from graycast.dataset.json_text import plain
-from graycast.dataset.stored import StoredDataset
+from graycast.dataset.files.json_text import plain
+from graycast.dataset.read.stored import StoredDataset
+from graycast.dataset.write.claim import described_values
 from graycast.rig.pair import preset_rig
 from graycast.robot.grasp import CARRIED_M_S2, Cup, Grip, Jaws
 from graycast.robot.grasp_labels import Labelling, stored_world
@@ -24,8 +24,8 @@ from graycast.robot.grasp_labels.scene_labels import (
     straight_up,
 )
 from graycast.robot.grasp_labels.stored_world import ScenePoses, Stock, around, make_world
-from graycast.robot.pick.jaw_tool import JawTool
-from graycast.robot.pick.suction_tool import SuctionTool
+from graycast.robot.pick.tool.jaw_tool import JawTool
+from graycast.robot.pick.tool.suction_tool import SuctionTool
 from graycast.world.drop.lift import STEP_S
 from graycast.world.drop.rapier import GRAVITY_M_S2, SKIN_M
 from graycast.world.parts import Material, Mesh, Part

@@ -6,8 +6,8 @@ import pytest
 from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.optics import Optics
 from graycast.robot.grasp import DepthView
-from graycast.robot.pick import aim as aiming
-from graycast.robot.pick.aim import (
+from graycast.robot.pick.bin import aim as aiming
+from graycast.robot.pick.bin.aim import (
     Aim,
     Candidate,
     covered_share,

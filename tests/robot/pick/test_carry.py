@@ -7,17 +7,17 @@ import pytest
 from stage import BOX_CORNERS, box_part, lambert
 
 from graycast.base.frames import axis_rotation, rigid
-from graycast.robot.pick import carry
-from graycast.robot.pick.aim import Aim, Candidate
-from graycast.robot.pick.carry import FREED_M, BinState, carry_out
-from graycast.robot.pick.choose import Choice
-from graycast.robot.pick.contact import PartGrip
-from graycast.robot.pick.motion import Trajectory
+from graycast.robot.pick.arm.motion import Trajectory
+from graycast.robot.pick.arm.ways import Ways
+from graycast.robot.pick.bin import carry
+from graycast.robot.pick.bin.aim import Aim, Candidate
+from graycast.robot.pick.bin.carry import FREED_M, BinState, carry_out
+from graycast.robot.pick.bin.choose import Choice
+from graycast.robot.pick.bin.ready import Ready
 from graycast.robot.pick.outcome import Outcome
-from graycast.robot.pick.ready import Ready
-from graycast.robot.pick.tools import SuctionTool
-from graycast.robot.pick.touch import NoGrip
-from graycast.robot.pick.ways import Ways
+from graycast.robot.pick.tool.contact import PartGrip
+from graycast.robot.pick.tool.tools import SuctionTool
+from graycast.robot.pick.tool.touch import NoGrip
 from graycast.world.drop import Lift
 from graycast.world.drop.lift import Hold
 from graycast.world.parts import Mesh

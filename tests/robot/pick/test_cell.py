@@ -10,11 +10,11 @@ from small_cell import write_cell
 
 from graycast.base.errors import GraycastError
 from graycast.base.frames import rigid
-from graycast.dataset.detections import Detections
+from graycast.dataset.read.detections import Detections
 from graycast.robot.grasp import DepthView
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
-from graycast.robot.pick.bin_scan import BinScan, targets
-from graycast.robot.pick.ready import make_ready
+from graycast.robot.pick.bin.bin_scan import BinScan, targets
+from graycast.robot.pick.bin.ready import make_ready
 from graycast.world.scene import Layout
 
 URDF = """<robot name="r"><link name="base"/><link name="{last}"/>

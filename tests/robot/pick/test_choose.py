@@ -10,16 +10,17 @@ from small_cell import write_cell
 from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid
 from graycast.rig.optics import Optics, rays
 from graycast.robot.grasp import DepthView, Grip
-from graycast.robot.pick import choose, load_pick_config, resolve_pick_cell
-from graycast.robot.pick.aim import Candidate, KnownPart
-from graycast.robot.pick.choose import Choice
-from graycast.robot.pick.clock import Clock
-from graycast.robot.pick.obstacles import standing
+from graycast.robot.pick import load_pick_config, resolve_pick_cell
+from graycast.robot.pick.arm.obstacles import standing
+from graycast.robot.pick.arm.robot import Robot
+from graycast.robot.pick.arm.ways import Blocked, Load, Surroundings, Ways, WaySearch
+from graycast.robot.pick.bin import choose
+from graycast.robot.pick.bin.aim import Candidate, KnownPart
+from graycast.robot.pick.bin.choose import Choice
+from graycast.robot.pick.bin.clock import Clock
+from graycast.robot.pick.bin.ready import Ready
 from graycast.robot.pick.outcome import Outcome
-from graycast.robot.pick.ready import Ready
-from graycast.robot.pick.robot import Robot
-from graycast.robot.pick.tools import T_flange_tip
-from graycast.robot.pick.ways import Blocked, Load, Surroundings, Ways, WaySearch
+from graycast.robot.pick.tool.tools import T_flange_tip
 from graycast.robot.pose import pose_model
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=300.0, fy_px=300.0, cx_px=79.5, cy_px=59.5)

@@ -5,14 +5,14 @@ import pytest
 
 from graycast.base.frames import look_at, pixel_grid
 from graycast.rig.optics import Optics, rays
-from graycast.robot.pick.obstacles import (
+from graycast.robot.pick.arm.obstacles import (
     CELL_M,
     GUESSED_M,
     heap_obstacle,
     measured_heap,
     measured_points,
 )
-from graycast.robot.pick.robot import Mounted, tool_touches
+from graycast.robot.pick.arm.robot import Mounted, tool_touches
 from graycast.world.scene import Bin
 
 BOX = Bin(inner_m=(0.2, 0.16, 0.1))

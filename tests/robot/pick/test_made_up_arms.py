@@ -5,10 +5,10 @@ import pytest
 
 from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.robot.grasp import CARRIED_M_S2
-from graycast.robot.pick.motion import Trajectory, straight
-from graycast.robot.pick.robot import Robot, _turned
-from graycast.robot.pick.tools import SuctionTool, T_flange_tip
-from graycast.robot.pick.ways import Load, Surroundings, _gently
+from graycast.robot.pick.arm.motion import Trajectory, straight
+from graycast.robot.pick.arm.robot import Robot, _turned
+from graycast.robot.pick.arm.ways import Load, Surroundings, _gently
+from graycast.robot.pick.tool.tools import SuctionTool, T_flange_tip
 
 
 class Polar(Robot):

@@ -12,8 +12,8 @@ pytest.importorskip("toppra", reason="needs toppra: pip install 'graycast[pick]'
 import coal
 
 from graycast.base.frames import rigid
-from graycast.robot.pick.motion import RISE_S, drive, plan, straight
-from graycast.robot.pick.robot import ACCELERATION_RAD_S2, Obstacle, open_robot
+from graycast.robot.pick.arm.motion import RISE_S, drive, plan, straight
+from graycast.robot.pick.arm.robot import ACCELERATION_RAD_S2, Obstacle, open_robot
 
 
 @pytest.fixture(scope="module")

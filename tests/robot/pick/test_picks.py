@@ -22,7 +22,7 @@ from graycast.robot.pick import (
     resolve_pick_cell,
     summarize,
 )
-from graycast.robot.pick.pick_files import WORK
+from graycast.robot.pick.results.pick_files import WORK
 
 TOOL = {"kind": "suction", "cup": {"radius_m": 0.01}, "length_m": 0.15}
 

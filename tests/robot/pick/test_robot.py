@@ -12,8 +12,8 @@ import coal
 
 from graycast.base.errors import ConfigError
 from graycast.base.frames import axis_rotation, rigid
-from graycast.robot.pick.arms import ARMS, URDF
-from graycast.robot.pick.robot import Obstacle, open_robot
+from graycast.robot.pick.arm.arms import ARMS, URDF
+from graycast.robot.pick.arm.robot import Obstacle, open_robot
 
 UR5E = (URDF / "ur5e.urdf").read_text(encoding="utf-8")
 

@@ -7,11 +7,11 @@ import pytest
 from small_cell import write_cell
 
 from graycast.base.frames import axis_rotation, inverse, rigid
-from graycast.dataset.detections import Detections
+from graycast.dataset.read.detections import Detections
 from graycast.rendering import GroundTruth, Radiance, Renderer, Rendering
 from graycast.robot.grasp import DepthView
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
-from graycast.robot.pick.bin_scan import BinScan, scan, targets
+from graycast.robot.pick.bin.bin_scan import BinScan, scan, targets
 from graycast.world.scene import Layout
 
 NOWHERE = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int))

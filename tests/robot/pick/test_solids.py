@@ -10,8 +10,8 @@ import trimesh
 
 from graycast.base.errors import ConfigError
 from graycast.base.frames import rigid
-from graycast.robot.pick.obstacles import triangles
-from graycast.robot.pick.solids import ROUND, joined, shape_mesh
+from graycast.robot.pick.arm.obstacles import triangles
+from graycast.robot.pick.tool.solids import ROUND, joined, shape_mesh
 
 
 def solid(mesh):

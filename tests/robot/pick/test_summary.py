@@ -7,8 +7,8 @@ from matplotlib.colors import to_rgb
 
 from graycast.base.errors import GraycastError
 from graycast.robot.pick.outcome import TAKEN, Outcome
-from graycast.robot.pick.pick_files import StoredEpisode
-from graycast.robot.pick.summary import COLOR, compared, pair, plot_runs, summarize
+from graycast.robot.pick.results.pick_files import StoredEpisode
+from graycast.robot.pick.results.summary import COLOR, compared, pair, plot_runs, summarize
 from graycast.score.evaluate import mcnemar, wilson
 
 

@@ -7,8 +7,8 @@ from typing import get_args
 import pytest
 
 import graycast
-from graycast.robot.pick.pick_sections import PickConfig
-from graycast.robot.pick.tools import AnyTool, Tool
+from graycast.robot.pick.bin.pick_sections import PickConfig
+from graycast.robot.pick.tool.tools import AnyTool, Tool
 
 SOURCE = Path(graycast.__file__).parent
 TOOLS = get_args(get_args(AnyTool)[0])

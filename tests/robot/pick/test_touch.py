@@ -9,11 +9,11 @@ from manifold3d import CrossSection, Manifold
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.robot.grasp import Cup, Doubt, Jaws, closing, jaw_places
-from graycast.robot.pick.contact import NoGrip, PartGrip
-from graycast.robot.pick.jaw_tool import JawTool
 from graycast.robot.pick.outcome import Outcome
-from graycast.robot.pick.suction_tool import SuctionTool
-from graycast.robot.pick.touch import ContactPart, touch
+from graycast.robot.pick.tool.contact import NoGrip, PartGrip
+from graycast.robot.pick.tool.jaw_tool import JawTool
+from graycast.robot.pick.tool.suction_tool import SuctionTool
+from graycast.robot.pick.tool.touch import ContactPart, touch
 from graycast.world.drop import make_bodies
 from graycast.world.parts import Material, Mesh, Part
 

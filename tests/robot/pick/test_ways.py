@@ -11,11 +11,11 @@ import coal
 
 from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.robot.grasp import CARRIED_M_S2
+from graycast.robot.pick.arm.robot import Obstacle, open_robot
+from graycast.robot.pick.arm.ways import Load, Surroundings, Ways, WaySearch
 from graycast.robot.pick.outcome import Outcome
-from graycast.robot.pick.robot import Obstacle, open_robot
-from graycast.robot.pick.suction_tool import SuctionTool
-from graycast.robot.pick.tools import T_flange_tip
-from graycast.robot.pick.ways import Load, Surroundings, Ways, WaySearch
+from graycast.robot.pick.tool.suction_tool import SuctionTool
+from graycast.robot.pick.tool.tools import T_flange_tip
 
 TOOL = SuctionTool(length_m=0.2)
 LOAD = Load(below_m=0.1, aside_m=0.05)

@@ -7,7 +7,7 @@ from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from graycast.dataset.detections import Detections
+from graycast.dataset.read.detections import Detections
 from graycast.score.evaluate import Labels
 from graycast.score.evaluate.labels import run_lengths_of
 

@@ -9,8 +9,8 @@ from drawn import no_pixels
 from metered import Metered
 
 from graycast.base.errors import GraycastError
-from graycast.dataset.scene_content import SceneContent
-from graycast.dataset.stored import StoredScene
+from graycast.dataset.read.scene_content import SceneContent
+from graycast.dataset.read.stored import StoredScene
 from graycast.rig.optics import Optics, rays
 from graycast.score.evaluate.depth import (
     EDGE,

@@ -8,8 +8,8 @@ import pytest
 from drawn import no_pixels
 
 from graycast.cli import main
-from graycast.dataset.detections import Detections, read_results, results_bytes
 from graycast.dataset.export import Split
+from graycast.dataset.read.detections import Detections, read_results, results_bytes
 from graycast.dataset.training import open_examples
 from graycast.score.evaluate import Protocol, Task, evaluate, evaluation_json, summary
 from graycast.score.evaluate.labels import run_lengths_of

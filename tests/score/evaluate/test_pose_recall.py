@@ -10,9 +10,9 @@ from stage import BOX_CORNERS, box_part, centred, lambert
 from graycast.base.errors import GraycastError
 from graycast.base.frames import axis_rotation, rigid, transform_points
 from graycast.cli import main
-from graycast.dataset.models import read_models
-from graycast.dataset.pose_results import PoseEstimate, pose_results_text
+from graycast.dataset.read.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.training import open_examples
+from graycast.dataset.write.models import read_models
 from graycast.rig.meshdepth import rasterize
 from graycast.score.evaluate import Protocol, evaluate_poses
 from graycast.score.evaluate.pose_recall import PictureTruth, count_picture, matched, solid_of

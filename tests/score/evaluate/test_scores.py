@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import GraycastError
-from graycast.dataset.example import Example
+from graycast.dataset.read.example import Example
 from graycast.score.evaluate import labels_of, score
 from graycast.score.evaluate.scores import precision_curves
 

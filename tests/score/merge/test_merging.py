@@ -81,7 +81,7 @@ def test_invalid_paths_are_refused_in_one_line(master, tmp_path, capsys):  # noq
 
 
 def test_real_pictures_are_refused(tmp_path, monkeypatch, master):  # noqa: F811
-    from graycast.dataset.stored import StoredDataset
+    from graycast.dataset.read.stored import StoredDataset
 
     monkeypatch.setattr(StoredDataset, "real", property(lambda self: True))
     with pytest.raises(GraycastError, match="nobody knows where the camera stood"):

@@ -10,10 +10,10 @@ from small_cell import write_cell
 from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.rig.meshdepth import rasterize
 from graycast.robot.pick import Attempt, Outcome, load_pick_config, resolve_pick_cell
-from graycast.robot.pick.episode import Episode
-from graycast.robot.pick.pick_files import episode_files, open_picks
-from graycast.robot.pick.robot import open_robot
-from graycast.robot.pick.tools import T_flange_tip
+from graycast.robot.pick.arm.robot import open_robot
+from graycast.robot.pick.bin.episode import Episode
+from graycast.robot.pick.results.pick_files import episode_files, open_picks
+from graycast.robot.pick.tool.tools import T_flange_tip
 from graycast.world.scene import bin_mesh
 
 STEP_S, GRIP, STEPS = 0.05, 20, 45

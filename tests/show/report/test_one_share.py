@@ -12,7 +12,7 @@ from graycast.camera.decode import Reason, little_depth_note, pooled_shares, rea
 from graycast.cell.generate import generate
 from graycast.cell.resolve import load_cell
 from graycast.dataset.card import write_card
-from graycast.dataset.rescanned import ImageRecord
+from graycast.dataset.read.rescanned import ImageRecord
 from graycast.dataset.stats import dataset_statistics, statistics_json
 from graycast.show.report.page import write_report
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from graycast.base.errors import GraycastError
-from graycast.dataset.detections import Detections, results_bytes
+from graycast.dataset.read.detections import Detections, results_bytes
 from graycast.dataset.training import open_examples
 from graycast.score.evaluate.labels import run_lengths_of
 from graycast.show.report.page import write_report

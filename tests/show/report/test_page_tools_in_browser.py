@@ -9,7 +9,7 @@ from pictured import write_dataset
 
 from graycast.cli import main
 from graycast.dataset.export.formats import selected_pictures
-from graycast.dataset.stored import open_dataset
+from graycast.dataset.read.stored import open_dataset
 from graycast.show.report.page import write_report
 
 from .browsing import canvas_pixels, opened, place, pressed, readout, ready, scene_map

@@ -16,8 +16,8 @@ from graycast.base.errors import GraycastError
 from graycast.base.frames import inverse, rigid
 from graycast.cli.command import main
 from graycast.robot.pick import Outcome, read_episodes
-from graycast.robot.pick.replay import open_replay, read_motions
-from graycast.robot.pick.tools import T_flange_tip
+from graycast.robot.pick.results.replay import open_replay, read_motions
+from graycast.robot.pick.tool.tools import T_flange_tip
 from graycast.show.report.page.walls import open_bin
 from graycast.show.report.picks import write_pick_report
 from graycast.show.report.picks.bodies import packed_places

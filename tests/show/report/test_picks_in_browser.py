@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from graycast.robot.pick import read_episodes
-from graycast.robot.pick.replay import open_replay, read_motions
+from graycast.robot.pick.results.replay import open_replay, read_motions
 from graycast.show.report.picks import write_pick_report
 
 from .browsing import ready, watched_page

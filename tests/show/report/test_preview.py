@@ -16,7 +16,7 @@ from graycast.camera.decode import CodeMap, DepthMap, Reason
 from graycast.camera.sensor import Capture, SensorSpec, merge_exposures
 from graycast.cell.framing import framing_line
 from graycast.cell.simulate import Shot
-from graycast.dataset.sample import Sample
+from graycast.dataset.files.sample import Sample
 from graycast.rendering import GroundTruth, Radiance, Rendering, Silhouette
 from graycast.rig.optics import Optics
 from graycast.rig.pair import Rig

@@ -4,7 +4,7 @@ import html
 import re
 
 from graycast.camera.decode import Reason
-from graycast.dataset.rescanned import ImageRecord
+from graycast.dataset.read.rescanned import ImageRecord
 from graycast.show.report.rescan_page import _reasons
 
 

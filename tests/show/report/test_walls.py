@@ -12,8 +12,8 @@ from pictured import write_dataset
 
 from graycast.cell.config import BinSection, resolve_bin
 from graycast.cell.domain.vary import _changed_bin
-from graycast.dataset.seal import sha256
-from graycast.dataset.stored import StoredDataset
+from graycast.dataset.files.seal import sha256
+from graycast.dataset.read.stored import StoredDataset
 from graycast.show.report.page import write_report
 from graycast.show.report.page.walls import dataset_walls, packed_walls
 from graycast.world.scene import Bin, bin_mesh

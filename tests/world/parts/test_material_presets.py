@@ -10,7 +10,7 @@ import yaml
 from graycast.base.errors import ConfigError
 from graycast.cell.config import load_config
 from graycast.cell.domain.looks import retouched
-from graycast.dataset.claim import part_digest
+from graycast.dataset.write.claim import part_digest
 from graycast.world.parts import MATERIALS, Grain, Material, Mesh, builtin_part, material_preset
 from graycast.world.parts.material_section import MaterialSection, resolve_material
 from graycast.world.parts.part import corner_grain

@@ -9,8 +9,8 @@ from ...base.errors import DecodeError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
 from ...camera.decode import pooled_shares, reason_counts
-from ...dataset.bop import scene_files
-from ...dataset.sample import LEAST_DECODED, Sample
+from ...dataset.files.sample import LEAST_DECODED, Sample
+from ...dataset.write.bop import scene_files
 from ...world.parts import Part
 from ..resolve import Cell
 from ..simulate import Shot, compile_kernels, make_images, on_part

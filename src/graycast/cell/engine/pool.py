@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from ...base.errors import GraycastError, one_line
 from ...base.progress import ProgressMeter
-from ...dataset.set_aside import SetAside
+from ...dataset.write.set_aside import SetAside
 from .job import Job, TaskResult, is_foreseen, is_the_scenes_own
 
 TRIES = 3

@@ -20,10 +20,10 @@ import cv2
 
 from ...base.file_limits import parse_json
 from ...rendering.radiance import Silhouette
-from ..coco import run_lengths
-from ..json_text import json_bytes
-from ..places import camera_file
-from ..stored import StoredDataset, StoredScene
+from ..files.json_text import json_bytes
+from ..files.places import camera_file
+from ..read.stored import StoredDataset, StoredScene
+from ..write.coco import run_lengths
 from .options import Options, settled
 from .placing import bop_key, place, write_shards
 

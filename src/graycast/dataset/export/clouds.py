@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 
 from ...base.ply import cloud_bytes
 from ...rig.optics import optics_of, points
-from ..stored import StoredDataset, StoredScene
+from ..read.stored import StoredDataset, StoredScene
 from .options import Options, settled
 
 _NAMES = {"depth": "perfect", "depth_sl": "scanner"}

@@ -7,9 +7,9 @@ from typing import Any
 
 from pycocotools import mask as coco_mask
 
-from ..coco import coco_categories
-from ..example import InstanceLabel
-from ..stored import StoredDataset, StoredScene
+from ..read.example import InstanceLabel
+from ..read.stored import StoredDataset, StoredScene
+from ..write.coco import coco_categories
 from .options import Options, settled
 from .outline import polygons
 from .placing import place

@@ -8,9 +8,9 @@ from typing import Literal
 from ...base.errors import DatasetError, GraycastError
 from ...base.folder import new_folder
 from ...base.progress import UNWATCHED, ProgressMeter
-from ..records import Record
-from ..safe_reading import Unreadable, read_json
-from ..stored import StoredDataset, StoredScene, open_dataset
+from ..files.records import Record
+from ..files.safe_reading import Unreadable, read_json
+from ..read.stored import StoredDataset, StoredScene, open_dataset
 from .options import FORMATS, Options
 from .record import ExportRecord, write_record
 

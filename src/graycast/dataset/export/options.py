@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 from ...base.errors import GraycastError
-from ..stored import StoredDataset
+from ..read.stored import StoredDataset
 from .split import Split
 
 Value = TypeVar("Value")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ...base.errors import GraycastError
-from ..stored import StoredDataset, StoredScene
+from ..read.stored import StoredDataset, StoredScene
 from .options import Options, settled
 from .placing import groups
 

@@ -5,10 +5,10 @@ from typing import Any
 
 from ...base.errors import DatasetError
 from ...base.version import __version__
-from .. import records
-from ..json_text import json_bytes
-from ..safe_reading import Unreadable, read_json
-from ..stored import StoredDataset
+from ..files import records
+from ..files.json_text import json_bytes
+from ..files.safe_reading import Unreadable, read_json
+from ..read.stored import StoredDataset
 from .options import FORMATS, Options, no_format
 
 RECORD = "export.json"

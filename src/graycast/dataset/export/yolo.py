@@ -12,8 +12,8 @@ from pathlib import Path
 import yaml
 from pycocotools import mask as coco_mask
 
-from ..example import InstanceLabel
-from ..stored import StoredDataset, StoredScene
+from ..read.example import InstanceLabel
+from ..read.stored import StoredDataset, StoredScene
 from .options import Options, settled
 from .outline import path
 from .placing import place

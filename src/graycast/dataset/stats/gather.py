@@ -13,9 +13,9 @@ from jaxtyping import Float, Int
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.spawn import SPAWN
 from ...camera.decode import pooled_shares
-from ..coco import IGNORED_BELOW
-from ..scene_content import scene_content
-from ..stored import StoredScene, open_dataset
+from ..read.scene_content import scene_content
+from ..read.stored import StoredScene, open_dataset
+from ..write.coco import IGNORED_BELOW
 from .scene_statistics import DEPTH_BIN_MM, SceneFigures, scene_figures
 
 VISIBILITY_BINS = 20

@@ -5,7 +5,7 @@ from jaxtyping import Bool
 from pydantic import BaseModel, ConfigDict
 
 from ...camera.decode import pooled_shares
-from ..scene_content import SceneContent
+from ..read.scene_content import SceneContent
 
 DEPTH_BIN_MM = 10.0
 _LUMA = np.array([0.2126, 0.7152, 0.0722])

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from ...base.folder import whole_folder
 from ...camera.decode import little_depth_note
-from ..json_text import plain
+from ..files.json_text import plain
 from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, ErrorFigures, Statistics
 from .scene_statistics import DEPTH_BIN_MM
 from .stats_plots import draw_statistics

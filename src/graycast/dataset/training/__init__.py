@@ -1,6 +1,6 @@
 """Training examples, read in the same form from a dataset and from its exports."""
 
-from ..example import Example
+from ..read.example import Example
 from .sources import Examples, open_examples
 
 __all__ = ["Example", "Examples", "open_examples"]

@@ -20,11 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ...base.errors import DatasetError
 from ...base.file_limits import check_runs, parse_json
 from ...base.folder import leads_out
-from ..example import Example, metres, pose_m
-from ..records import Images, Positive
-from ..rescanned import SCANNED_POSES, image_record, is_rescanned, read_rescan
-from ..safe_reading import Unreadable, pixels
-from ..scene_folder import (
+from ..files.records import Images, Positive
+from ..files.safe_reading import Unreadable, pixels
+from ..files.scene_folder import (
     SCANNER,
     AnyInfo,
     AnyPose,
@@ -33,6 +31,8 @@ from ..scene_folder import (
     dead_links,
     scene_folders,
 )
+from ..read.example import Example, metres, pose_m
+from ..read.rescanned import SCANNED_POSES, image_record, is_rescanned, read_rescan
 from .from_bytes import boxes, compressed, masks
 
 

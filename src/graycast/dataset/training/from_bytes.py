@@ -8,8 +8,8 @@ from pycocotools import mask as coco_mask
 
 from ...base.array_types import Bool, Float32, UInt8
 from ...base.errors import DatasetError
-from ..example import metres
-from ..safe_reading import Unreadable, pixels
+from ..files.safe_reading import Unreadable, pixels
+from ..read.example import metres
 
 DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}  # field of `Example` by kind
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ...base.errors import DatasetError
-from ..example import Example
 from ..export.parquet import schema  # If pyarrow is missing, this import's error names the remedy.
 from ..export.record import ExportRecord
+from ..read.example import Example
 from .from_bytes import DEPTH_FIELDS, depth_m, image_fields, masks, picture
 
 # If pyarrow is missing, `export.parquet` has already raised an error.

@@ -12,10 +12,10 @@ from pycocotools import mask as coco_mask
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
 from ...base.folder import leads_out
-from ..example import Example, pose_m
 from ..export.options import DEPTHS
 from ..export.record import ExportRecord
-from ..safe_reading import Unreadable, read_png
+from ..files.safe_reading import Unreadable, read_png
+from ..read.example import Example, pose_m
 from .from_bytes import DEPTH_FIELDS, boxes, compressed, depth_m, image_fields, masks
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
-from ..example import Example, pose_m
 from ..export.placing import bop_key
 from ..export.record import ExportRecord
+from ..read.example import Example, pose_m
 from .from_bytes import DEPTH_FIELDS, boxes, depth_m, image_fields, masks, picture
 
 Files = Mapping[str, bytes]

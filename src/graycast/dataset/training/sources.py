@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, final, overload
 from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
 from ...base.public_value import public_value
-from ..example import Example
 from ..export.options import FORMATS
 from ..export.record import RECORD, read_record
 from ..export.split import Split
-from ..places import CLAIM
-from ..seal import MANIFEST, OWN
-from ..stored import StoredDataset, open_dataset
+from ..files.places import CLAIM
+from ..files.seal import MANIFEST, OWN
+from ..read.example import Example
+from ..read.stored import StoredDataset, open_dataset
 from .foreign import Foreign, is_foreign, open_foreign
 
 ReadOne = Callable[[int], Example]

@@ -7,8 +7,8 @@ from typing import Any, final
 import numpy as np
 
 from ...base.errors import GraycastError
-from ..example import Example
 from ..export.split import Split
+from ..read.example import Example
 from .sources import open_examples
 
 try:

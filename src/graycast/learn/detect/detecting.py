@@ -14,12 +14,12 @@ from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import refuse_foreign, whole_folder
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.detections import DETECT_JSON, RESULTS, Detections, results_bytes
-from ...dataset.example import Example, display_image
 from ...dataset.export.record import RECORD, read_record
 from ...dataset.export.split import Split
-from ...dataset.json_text import json_bytes
-from ...dataset.places import CLAIM
+from ...dataset.files.json_text import json_bytes
+from ...dataset.files.places import CLAIM
+from ...dataset.read.detections import DETECT_JSON, RESULTS, Detections, results_bytes
+from ...dataset.read.example import Example, display_image
 from ...dataset.training import Examples, open_examples
 from ...dataset.training.foreign import is_foreign
 from ...real.depth_file import FileOptions

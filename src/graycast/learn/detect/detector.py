@@ -18,8 +18,8 @@ from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import fill_whole
 from ...base.version import __version__
-from ...dataset.detections import WEIGHTS, Detections
-from ...dataset.example import Example
+from ...dataset.read.detections import WEIGHTS, Detections
+from ...dataset.read.example import Example
 from ...real.depth_sense import refuse_beyond
 from .encoding import Encoding, encoding_from
 from .network import Network, NetworkOutput

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from pycocotools import mask as coco_mask
 
-from ...dataset.detections import Detections
+from ...dataset.read.detections import Detections
 
 LEAST_SCORE = 0.5  # A detection is drawn from this score on.
 _MARGIN = 0.08  # margin of a cut-out around the detections, as a share of its longer side

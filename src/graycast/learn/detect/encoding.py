@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...base.errors import GraycastError
-from ...dataset.example import LEAST_LOG_P, Example
+from ...dataset.read.example import LEAST_LOG_P, Example
 from .networks import HOLES, INPUTS
 
 # The published backbones were trained with these means and deviations of photographs.

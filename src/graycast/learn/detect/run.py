@@ -23,8 +23,8 @@ from ...base.plotting import (
     save_png,
 )
 from ...base.tables import records_csv
-from ...dataset.claim import difference
-from ...dataset.json_text import json_bytes
+from ...dataset.files.json_text import json_bytes
+from ...dataset.write.claim import difference
 
 RUN = "run.json"
 CHECKPOINT = "checkpoint.pt"

@@ -15,10 +15,10 @@ from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.public_value import public_value
 from ...base.settings import check_fields
-from ...dataset.claim import claimed_options
-from ...dataset.detections import WEIGHTS
 from ...dataset.export.split import Split
+from ...dataset.read.detections import WEIGHTS
 from ...dataset.training import Examples
+from ...dataset.write.claim import claimed_options
 from ...score.evaluate import Labels, labels_of, score
 from ...score.evaluate.labels import MIN_VISIBILITY
 from .backbones import load_weights

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.example import Example
+from ...dataset.read.example import Example
 from ...dataset.training import Examples
 from .encoding import BLACK, Encoding
 from .network import Target

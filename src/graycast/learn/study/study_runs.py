@@ -9,10 +9,10 @@ from typing import final
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.detections import RESULTS, WEIGHTS, Detections, read_results
-from ...dataset.example import Example
-from ...dataset.json_text import json_bytes
-from ...dataset.seal import sha256
+from ...dataset.files.json_text import json_bytes
+from ...dataset.files.seal import sha256
+from ...dataset.read.detections import RESULTS, WEIGHTS, Detections, read_results
+from ...dataset.read.example import Example
 from ...score.evaluate import Labels, Scores, labels_of, score
 from ...score.evaluate.intervals import BootstrapFigure, bootstrap, mean
 from ...score.evaluate.judging import KINDS

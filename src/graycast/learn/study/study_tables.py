@@ -16,7 +16,7 @@ from ...base.plotting import (
     save_png,
 )
 from ...base.tables import markdown_table, records_csv
-from ...dataset.json_text import json_bytes
+from ...dataset.files.json_text import json_bytes
 from ..study_file import StudySpec
 from .study_runs import Result
 

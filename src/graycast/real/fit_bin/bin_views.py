@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from ...base.errors import DatasetError
-from ...dataset.records import Images
-from ...dataset.safe_reading import Unreadable
-from ...dataset.scene_folder import AnyView, SceneFolder
+from ...dataset.files.records import Images
+from ...dataset.files.safe_reading import Unreadable
+from ...dataset.files.scene_folder import AnyView, SceneFolder
 from ...rig.optics import Optics, optics_of, picture_rays, points
 from ..depth_file import DEPTH_FILES, FileOptions
 from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot

@@ -15,7 +15,7 @@ from ...base.folder import whole_folder
 from ...base.settings import read_text
 from ...cell.config import Config
 from ...cell.resolve import Cell, open_cell_renderer
-from ...dataset.json_text import plain
+from ...dataset.files.json_text import plain
 from ...world.parts import Material
 from ...world.parts.material_section import MaterialSection, material_words
 from ...world.scene import Bin, bin_of

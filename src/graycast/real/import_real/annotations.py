@@ -20,7 +20,7 @@ from pycocotools import mask as coco_mask
 from ...base.errors import DatasetError
 from ...base.file_limits import check_runs
 from ...base.folder import visible_entries
-from ...dataset.safe_reading import Unreadable, pixels
+from ...dataset.files.safe_reading import Unreadable, pixels
 from ...dataset.training.foreign import refuse_repeated
 from ..depth_file import load_json
 

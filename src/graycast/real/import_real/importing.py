@@ -15,12 +15,18 @@ from ...base.folder import new_folder
 from ...base.mask_box import mask_box
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.version import __version__
-from ...dataset.coco import coco_categories, run_lengths, scene_annotation, scene_coco, scene_image
-from ...dataset.json_text import json_bytes
-from ...dataset.picture_bytes import depth_steps, png
-from ...dataset.places import CLAIM
-from ...dataset.records import FORMAT_VERSION, MM_PER_M, split_annotation
-from ...dataset.seal import sealed, sha256
+from ...dataset.files.json_text import json_bytes
+from ...dataset.files.places import CLAIM
+from ...dataset.files.records import FORMAT_VERSION, MM_PER_M, split_annotation
+from ...dataset.files.seal import sealed, sha256
+from ...dataset.write.coco import (
+    coco_categories,
+    run_lengths,
+    scene_annotation,
+    scene_coco,
+    scene_image,
+)
+from ...dataset.write.picture_bytes import depth_steps, png
 from ...rendering.radiance import Silhouette
 from ..depth_file import NO_OPTIONS, FileOptions
 from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot

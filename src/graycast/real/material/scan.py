@@ -14,8 +14,8 @@ from ...camera.decode import Mark, Reason
 from ...camera.rig_file import load_scanner
 from ...camera.scanner import Scanner
 from ...camera.stack import StackResult, decode_stack, read_description
-from ...dataset.raw import EXPOSURE, read_capture
-from ...dataset.safe_reading import Unreadable, read_mask
+from ...dataset.files.safe_reading import Unreadable, read_mask
+from ...dataset.write.raw import EXPOSURE, read_capture
 from .fitting import scale_of
 from .mottle import MottleFit, fit_mottle
 from .normals import smooth_normals

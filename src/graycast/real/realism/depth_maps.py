@@ -11,9 +11,9 @@ from pydantic import BaseModel
 
 from ...base.errors import DatasetError
 from ...base.folder import visible_entries
-from ...dataset.records import Images
-from ...dataset.safe_reading import Unreadable
-from ...dataset.scene_folder import SCANNER, AnyScanner, AnyView, SceneFolder
+from ...dataset.files.records import Images
+from ...dataset.files.safe_reading import Unreadable
+from ...dataset.files.scene_folder import SCANNER, AnyScanner, AnyView, SceneFolder
 from ..depth_file import (
     NO_OPTIONS,
     FileOptions,

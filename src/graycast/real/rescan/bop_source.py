@@ -24,9 +24,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...base.errors import DatasetError
-from ...dataset.records import MM_PER_M, Images, Positive
-from ...dataset.safe_reading import Unreadable
-from ...dataset.scene_folder import (
+from ...dataset.files.records import MM_PER_M, Images, Positive
+from ...dataset.files.safe_reading import Unreadable
+from ...dataset.files.scene_folder import (
     PICTURES,
     SCANNER,
     AnyCamera,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...base.errors import DatasetError
 from ...base.folder import visible_entries
-from ...dataset.records import MM_PER_M
+from ...dataset.files.records import MM_PER_M
 from ..depth_file import FileOptions, read_intrinsics
 from ..picture_pairs import RealPicture, find_shots, is_whole, read_shot
 from .model_files import read_models

@@ -22,11 +22,11 @@ from pydantic import BaseModel, ConfigDict
 from ...base.errors import ConfigError, DatasetError
 from ...base.frames import UNITS_M
 from ...base.settings import check_settings, parse_yaml, read_text
-from ...dataset.models import symmetry_m
-from ...dataset.places import CLAIM
-from ...dataset.real import read_claim
-from ...dataset.records import MM_PER_M, Continuous, Count, Matrix4, Positive
-from ...dataset.rescanned import claim_kind
+from ...dataset.files.places import CLAIM
+from ...dataset.files.records import MM_PER_M, Continuous, Count, Matrix4, Positive
+from ...dataset.read.real import read_claim
+from ...dataset.read.rescanned import claim_kind
+from ...dataset.write.models import symmetry_m
 from ...world.parts import Material, Mesh, Part, Symmetry
 from ...world.parts.builtin import CREASE_RAD
 from ...world.parts.material_section import MaterialSection, resolve_material

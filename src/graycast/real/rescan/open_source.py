@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...base.errors import DatasetError
-from ...dataset.scene_folder import scene_folders
+from ...dataset.files.scene_folder import scene_folders
 from ...rig.optics import picture_rays
 from ..depth_sense import depth_kind_note, plane_shares
 from .bop_source import CAMERAS, open_bop

@@ -17,14 +17,14 @@ import numpy as np
 
 from ...base.errors import DatasetError
 from ...base.folder import beside, claimed_folder, refuse_foreign, remove_left, write_whole
-from ...dataset.claim import refuse_other
-from ...dataset.json_text import json_bytes
-from ...dataset.models import model_files, models_info
-from ...dataset.picture_bytes import depth_scale_mm, depth_steps, png
-from ...dataset.places import CLAIM
-from ...dataset.records import MM_PER_M
-from ...dataset.rescan_check import scene_records
-from ...dataset.rescanned import (
+from ...dataset.check.rescan_check import scene_records
+from ...dataset.files.json_text import json_bytes
+from ...dataset.files.places import CLAIM
+from ...dataset.files.records import MM_PER_M
+from ...dataset.files.safe_reading import Unreadable
+from ...dataset.files.scene_folder import SCANNER, picture_name
+from ...dataset.files.seal import MANIFEST, SUMS, sha256
+from ...dataset.read.rescanned import (
     RECORDS,
     ImageRecord,
     changes,
@@ -32,9 +32,9 @@ from ...dataset.rescanned import (
     is_rescanned,
     read_rescan,
 )
-from ...dataset.safe_reading import Unreadable
-from ...dataset.scene_folder import SCANNER, picture_name
-from ...dataset.seal import MANIFEST, SUMS, sha256
+from ...dataset.write.claim import refuse_other
+from ...dataset.write.models import model_files, models_info
+from ...dataset.write.picture_bytes import depth_scale_mm, depth_steps, png
 from .source import Source, SourceImage
 
 

@@ -36,13 +36,13 @@ from ...cell.generate import described_scanner
 from ...cell.metering import metered_region
 from ...cell.resolve import patterns_of
 from ...cell.simulate import on_part
-from ...dataset.bop import scanner_files
-from ...dataset.claim import claimed_options, described_values, fingerprint, part_digest
-from ...dataset.json_text import plain
-from ...dataset.picture_bytes import DEPTH_MAX, depth_scale_mm
-from ...dataset.records import FORMAT_VERSION, MM_PER_M
-from ...dataset.sample import LEAST_DECODED, Sample
-from ...dataset.set_aside import SetAsideFile
+from ...dataset.files.json_text import plain
+from ...dataset.files.records import FORMAT_VERSION, MM_PER_M
+from ...dataset.files.sample import LEAST_DECODED, Sample
+from ...dataset.write.bop import scanner_files
+from ...dataset.write.claim import claimed_options, described_values, fingerprint, part_digest
+from ...dataset.write.picture_bytes import DEPTH_MAX, depth_scale_mm
+from ...dataset.write.set_aside import SetAsideFile
 from ..depth_file import read_intrinsics
 from .rescan_folder import open_rescan, plain_files, record_file
 from .source import Source, SourceImage

@@ -33,8 +33,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from ...base.errors import DatasetError
 from ...base.folder import visible_entries
 from ...base.frames import inverse, rigid, rotation_from_quaternion
-from ...dataset.records import Count, Positive, Vector
-from ...dataset.safe_reading import Unreadable, record_as
+from ...dataset.files.records import Count, Positive, Vector
+from ...dataset.files.safe_reading import Unreadable, record_as
 from .model_files import NO_MODELS, ModelFile, read_models
 from .source import Source, SourceImage, SourceOptions
 from .source_files import REPAIR, pose_of, record_of, source_image, stored_steps

@@ -15,12 +15,12 @@ from jaxtyping import Float, Int, UInt8
 from ...base.errors import DatasetError
 from ...base.public_value import public_value
 from ...base.settings import check_fields
-from ...dataset.claim import described_values
-from ...dataset.json_text import json_bytes
-from ...dataset.rescanned import original_sums
-from ...dataset.safe_reading import Unreadable
-from ...dataset.scene_folder import SceneFolder
-from ...dataset.seal import sha256
+from ...dataset.files.json_text import json_bytes
+from ...dataset.files.safe_reading import Unreadable
+from ...dataset.files.scene_folder import SceneFolder
+from ...dataset.files.seal import sha256
+from ...dataset.read.rescanned import original_sums
+from ...dataset.write.claim import described_values
 from ...rig.optics import Optics
 from ...world.parts import Material, Part
 

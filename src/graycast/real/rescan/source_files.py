@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 
 from ...base.errors import DatasetError
 from ...base.frames import is_rigid, rigid
-from ...dataset.safe_reading import Form, Unreadable, read_json
+from ...dataset.files.safe_reading import Form, Unreadable, read_json
 from ...rig.optics import Optics, optics_of
 from ..depth_file import in_metres, load_npy, read_image, z_of_ray_length
 from ..picture_pairs import refuse_damaged

@@ -1,4 +1,4 @@
-"""Files of grasp labels in the folder of their dataset; see `dataset.grasp_files`."""
+"""Files of grasp labels in the folder of their dataset; see `dataset.check.grasp_files`."""
 
 import platform
 from collections.abc import Iterator, Sequence
@@ -12,12 +12,12 @@ import numpy as np
 from ...base.errors import DatasetError
 from ...base.folder import remove_left, take_lock, write_whole
 from ...base.version import __version__
-from ...dataset.claim import difference
-from ...dataset.grasp_files import GRASP_CLAIM, GRASP_FORMAT, GRASPS, GraspClaim, SceneGrasps
-from ...dataset.json_text import json_bytes, plain
-from ...dataset.records import MM_PER_M
-from ...dataset.safe_reading import Unreadable, read_json
-from ...dataset.stored import StoredDataset, StoredScene
+from ...dataset.check.grasp_files import GRASP_CLAIM, GRASP_FORMAT, GRASPS, GraspClaim, SceneGrasps
+from ...dataset.files.json_text import json_bytes, plain
+from ...dataset.files.records import MM_PER_M
+from ...dataset.files.safe_reading import Unreadable, read_json
+from ...dataset.read.stored import StoredDataset, StoredScene
+from ...dataset.write.claim import difference
 from .label_options import Labelling
 from .scene_labels import GraspLabel
 from .stored_world import ScenePoses

@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from ...base.settings import Settings, check_settings, parse_yaml, read_text
-from ..pick.tools import AnyTool
+from ..pick.tool.tools import AnyTool
 
 
 class ToolFile(Settings):

@@ -8,7 +8,7 @@ from pathlib import Path
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
 from ...cell.engine import Failed, Job, TaskResult, Workers, keep_to_threads, make_missing
-from ...dataset.stored import StoredDataset, open_dataset
+from ...dataset.read.stored import StoredDataset, open_dataset
 from .label_files import open_labels, scene_json
 from .label_options import Labelling
 from .scene_labels import label_scene

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...dataset.grasp_files import GRASPS
+from ...dataset.check.grasp_files import GRASPS
 from ...score.evaluate import wilson
 from ...score.evaluate.intervals import Interval
 from ...score.evaluate.shares import roc_auc_of_scenes

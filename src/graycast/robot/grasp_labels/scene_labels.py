@@ -11,11 +11,11 @@ from ...base.streams import stream
 from ...world.drop import lift
 from ...world.drop.lift import STEP_S
 from ..grasp import CARRIED_M_S2, Grip
-from ..pick.contact import NoGrip, PartGrip
+from ..pick.arm.robot import Obstacle, tool_touches
 from ..pick.outcome import Outcome
-from ..pick.robot import Obstacle, tool_touches
-from ..pick.tools import T_flange_tip
-from ..pick.touch import touch
+from ..pick.tool.contact import NoGrip, PartGrip
+from ..pick.tool.tools import T_flange_tip
+from ..pick.tool.touch import touch
 from .label_options import Labelling
 from .stored_world import GraspWorld, ScenePoses, around
 

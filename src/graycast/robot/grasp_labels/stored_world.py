@@ -12,18 +12,18 @@ from ...base.frames import inverse
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...cell.config import Config, resolve_parts
 from ...cell.stored_bin import stored_bin
-from ...dataset.claim import BESIDE_CONFIG, part_digest, rig_of
-from ...dataset.example import pose_m
-from ...dataset.stored import StoredDataset, StoredScene
+from ...dataset.read.example import pose_m
+from ...dataset.read.stored import StoredDataset, StoredScene
+from ...dataset.write.claim import BESIDE_CONFIG, part_digest, rig_of
 from ...rig.pair import Rig
 from ...world.drop import Body, make_bodies
 from ...world.parts import Part
 from ...world.scene import Bin, Scene
 from ..grasp import Grip
-from ..pick.obstacles import standing
-from ..pick.robot import Obstacle
-from ..pick.tools import Tool, grips_on
-from ..pick.touch import ContactPart
+from ..pick.arm.obstacles import standing
+from ..pick.arm.robot import Obstacle
+from ..pick.tool.tools import Tool, grips_on
+from ..pick.tool.touch import ContactPart
 from .label_options import Labelling
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from ...base.folder import write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png, write_names
 from ...base.tables import markdown_table, records_csv
-from ...dataset.json_text import json_bytes
+from ...dataset.files.json_text import json_bytes
 from ..evaluate.intervals import Interval
 from .choosing import FIGURES, SettingFigures, choose, cost, on_front, row_of, sentences
 from .point_fates import FATE_COLOR, FATES, Fate

@@ -17,8 +17,8 @@ from typing import Any
 from ...base.errors import DatasetError, GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import claimed_folder, refuse_foreign, write_whole
-from ...dataset.claim import difference
-from ...dataset.json_text import json_bytes, plain
+from ...dataset.files.json_text import json_bytes, plain
+from ...dataset.write.claim import difference
 from .setting import Placed
 from .study import DesignSpec
 

@@ -16,7 +16,7 @@ from ...cell.config import Config, load_config, resolve_bin, resolve_scanner
 from ...cell.generate import described_scanner
 from ...cell.resolve import Cell, file_digests, refuse_several, resolve_cell
 from ...cell.views import hang
-from ...dataset.claim import described_values
+from ...dataset.write.claim import described_values
 from ...rig.pair import PRESETS, Rig, aimed, standoff_m
 from ...world.scene import bin_of
 from .study import DesignSpec, SweepSection

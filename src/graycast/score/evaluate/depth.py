@@ -31,10 +31,10 @@ from ...base.plotting import (
 )
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.tables import csv_text, markdown_table
-from ...dataset.json_text import plain
-from ...dataset.scene_content import SceneContent, scene_content
+from ...dataset.files.json_text import plain
+from ...dataset.read.scene_content import SceneContent, scene_content
+from ...dataset.read.stored import open_dataset
 from ...dataset.stats.gather import ErrorFigures, error_figures
-from ...dataset.stored import open_dataset
 from ...rig.optics import undistort
 
 ANGLE_EDGES_DEG = (0, 10, 20, 30, 40, 50, 60, 70, 80, 90)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...base.public_value import public_value
 from ...base.tables import csv_text, markdown_table
-from ...dataset.json_text import plain
+from ...dataset.files.json_text import plain
 from .intervals import Interval
 from .judgement_plots import (
     Picture,

@@ -17,7 +17,7 @@ from pycocotools import mask as coco_mask
 from ...base.errors import GraycastError
 from ...base.public_value import public_value
 from ...base.settings import check_fields
-from ...dataset.detections import Detections
+from ...dataset.read.detections import Detections
 from .intervals import DRAWS, Interval, differences, draw_scenes, with_intervals
 from .labels import MIN_VISIBILITY, Labels
 from .matching import Group, Kind, Overlaps, match, overlaps

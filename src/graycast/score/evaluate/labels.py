@@ -10,8 +10,8 @@ from pycocotools import mask as coco_mask
 
 from ...base.errors import GraycastError
 from ...base.public_value import public_value
-from ...dataset.coco import IGNORED_BELOW
-from ...dataset.example import Example
+from ...dataset.read.example import Example
+from ...dataset.write.coco import IGNORED_BELOW
 
 MIN_VISIBILITY = IGNORED_BELOW
 

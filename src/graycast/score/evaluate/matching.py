@@ -18,7 +18,7 @@ from pycocotools import mask as coco_mask
 from ...base.errors import GraycastError
 from ...base.kernels import kernel
 from ...base.public_value import public_value
-from ...dataset.detections import Detections
+from ...dataset.read.detections import Detections
 from .labels import Labels
 
 Kind = Literal["box", "mask"]

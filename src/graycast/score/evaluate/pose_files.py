@@ -11,12 +11,12 @@ from jaxtyping import Float, Int
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.tables import csv_text, markdown_table
-from ...dataset.example import Example
 from ...dataset.export.split import Split
-from ...dataset.json_text import plain
-from ...dataset.models import read_models
-from ...dataset.pose_results import PoseEstimate, read_pose_results
+from ...dataset.files.json_text import plain
+from ...dataset.read.example import Example
+from ...dataset.read.pose_results import PoseEstimate, read_pose_results
 from ...dataset.training import Examples, open_examples
+from ...dataset.write.models import read_models
 from .intervals import Interval, draw_scenes, interval_of
 from .judging import GroupRow, Protocol
 from .pose_recall import Counts, PictureTruth, count_picture, solid_of

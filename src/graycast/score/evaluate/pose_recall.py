@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...dataset.pose_results import PoseEstimate
+from ...dataset.read.pose_results import PoseEstimate
 from ...rig.meshdepth import rasterize
 from ...rig.optics import Optics, rays
 from ...world.parts import Mesh, Symmetry

@@ -10,8 +10,8 @@ import numpy as np
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.public_value import public_value
-from ...dataset.detections import DETECT_JSON, RESULTS, Detections, read_results
 from ...dataset.export.split import Split
+from ...dataset.read.detections import DETECT_JSON, RESULTS, Detections, read_results
 
 
 @public_value

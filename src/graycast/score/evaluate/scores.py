@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from ...base.kernels import kernel
 from ...base.public_value import public_value
-from ...dataset.detections import Detections
+from ...dataset.read.detections import Detections
 from .labels import Labels
 from .matching import ClassMatches, Kind, Overlaps, match, overlaps
 

@@ -14,10 +14,10 @@ from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.public_value import public_value
 from ...base.settings import check_fields
-from ...dataset.detections import Detections
-from ...dataset.example import display_image
 from ...dataset.export.record import RECORD, read_record
 from ...dataset.export.split import Split
+from ...dataset.read.detections import Detections
+from ...dataset.read.example import display_image
 from ...dataset.training import Examples, open_examples
 from .judgement_files import Evaluation
 from .judgement_plots import Picture

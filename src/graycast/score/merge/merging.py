@@ -9,10 +9,10 @@ from ...base.errors import DatasetError, GraycastError
 from ...base.folder import new_folder
 from ...base.ply import WORLD_FRAME, cloud_bytes
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.json_text import json_bytes
-from ...dataset.models import read_models
-from ...dataset.places import CLAIM
-from ...dataset.stored import StoredDataset, StoredScene, open_dataset
+from ...dataset.files.json_text import json_bytes
+from ...dataset.files.places import CLAIM
+from ...dataset.read.stored import StoredDataset, StoredScene, open_dataset
+from ...dataset.write.models import read_models
 from .fuse import FusedCloud, fuse
 from .stored_views import read_surface, read_view
 from .view_figures import SurfaceCoverage, cloud_figures, joined, surface_coverage, surface_figures

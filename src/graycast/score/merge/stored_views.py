@@ -20,14 +20,14 @@ from ...base.errors import DatasetError
 from ...base.frames import inverse, transform_points
 from ...base.robust import MAD_SIGMA
 from ...camera.decode import triangulation_axis
-from ...dataset.claim import rig_of
-from ...dataset.example import pose_m
-from ...dataset.models import StoredModel
-from ...dataset.raw import read_code_maps
-from ...dataset.records import MM_PER_M
-from ...dataset.safe_reading import Unreadable
-from ...dataset.scene_content import scene_content
-from ...dataset.stored import StoredDataset, StoredScene
+from ...dataset.files.records import MM_PER_M
+from ...dataset.files.safe_reading import Unreadable
+from ...dataset.read.example import pose_m
+from ...dataset.read.scene_content import scene_content
+from ...dataset.read.stored import StoredDataset, StoredScene
+from ...dataset.write.claim import rig_of
+from ...dataset.write.models import StoredModel
+from ...dataset.write.raw import read_code_maps
 from ...rig.optics import optics_of, points, project
 from ...rig.pair import Rig
 from .adding import SurfacePoints, ViewTruth, surface_of

@@ -29,7 +29,7 @@ from ...cell.config import Config, resolve_quality, resolve_scanner, resolve_sca
 from ...cell.metering import metered_region
 from ...cell.resolve import Cell, file_digests, open_cell_renderer, resolve_cell
 from ...cell.simulate import cell_seeds, varied
-from ...dataset.claim import described_values
+from ...dataset.write.claim import described_values
 from ...rendering import Quality, Renderer, Rendering
 from ...world.drop import DropLimits, drop
 from ...world.scene import Layout, Scene

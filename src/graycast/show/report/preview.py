@@ -28,7 +28,7 @@ from ...camera.decode import Reason, reason_shares, triangulation_axis
 from ...camera.picture import srgb_frame
 from ...cell.framing import framing_line
 from ...cell.simulate import Shot
-from ...dataset.sample import labelled
+from ...dataset.files.sample import labelled
 from ...rig.optics import Optics, project
 from ...rig.pattern import Axis, Code, Frame
 from ...world.parts import Part

@@ -16,8 +16,8 @@ from ...base.color import srgb_of_bytes
 from ...base.folder import refuse_foreign, whole_folder
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...camera.decode import Reason, pooled_shares
-from ...dataset.rescanned import RECORDS, ImageRecord, RescanClaim, image_records, read_rescan
-from ...dataset.scene_folder import SceneFolder, scene_folders
+from ...dataset.files.scene_folder import SceneFolder, scene_folders
+from ...dataset.read.rescanned import RECORDS, ImageRecord, RescanClaim, image_records, read_rescan
 from .page import WIDTH_PX
 from .page.packing import jpeg, palette_picture, shrunk
 from .preview import painted

@@ -9,11 +9,11 @@ import numpy as np
 
 from ....base.folder import write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
-from ....dataset.raw import frames_folder
-from ....dataset.scene_content import scene_content
-from ....dataset.scene_folder import of_sensor, picture_name
+from ....dataset.files.scene_folder import of_sensor, picture_name
+from ....dataset.read.scene_content import scene_content
+from ....dataset.read.stored import StoredDataset, StoredScene, open_dataset
 from ....dataset.stats import SceneFigures, scene_figures
-from ....dataset.stored import StoredDataset, StoredScene, open_dataset
+from ....dataset.write.raw import frames_folder
 from ....score.evaluate import Evaluation, Task, evaluate
 from ....score.merge import FusedCloud, fuse, read_view
 from .detection_scripts import DETECTIONS, detection_index, detection_scripts

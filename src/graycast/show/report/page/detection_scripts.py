@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from ....dataset.stored import StoredDataset
+from ....dataset.read.stored import StoredDataset
 from ....score.evaluate import AT_HALF, Evaluation, Judgement, false_alarms
 from ....score.evaluate import summary as evaluation_summary
 from .packing import receiving

@@ -8,11 +8,11 @@ import numpy as np
 
 from ....base.version import __version__
 from ....camera.decode import little_depth_note
-from ....dataset.scene_content import NO_REASON
+from ....dataset.read.scene_content import NO_REASON
+from ....dataset.read.stored import StoredDataset
 from ....dataset.stats import SceneFigures, Statistics, statistics_json, tally
 from ....dataset.stats.gather import error_figures
 from ....dataset.stats.scene_statistics import DEPTH_BIN_MM
-from ....dataset.stored import StoredDataset
 from ....rig.pattern import Code, CodeSpec
 from .packing import color_table, plain_text, reason_records, report_script
 from .scene_files import MISSING_COLOR

@@ -16,11 +16,11 @@ from ....base.color import srgb_of_bytes
 from ....base.errors import DatasetError
 from ....camera.decode import REASON_COLOR
 from ....camera.picture import srgb_frame
-from ....dataset.raw import read_capture, read_code_maps
-from ....dataset.safe_reading import Unreadable
-from ....dataset.sample import Raw
-from ....dataset.scene_content import NO_REASON, SceneContent
+from ....dataset.files.safe_reading import Unreadable
+from ....dataset.files.sample import Raw
+from ....dataset.read.scene_content import NO_REASON, SceneContent
 from ....dataset.stats import SceneFigures
+from ....dataset.write.raw import read_capture, read_code_maps
 from .packing import (
     jpeg,
     jpeg_url,

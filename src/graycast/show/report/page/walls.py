@@ -8,7 +8,7 @@ import numpy as np
 
 from ....base.errors import GraycastError
 from ....cell.stored_bin import stored_bin
-from ....dataset.stored import StoredDataset
+from ....dataset.read.stored import StoredDataset
 from ....world.parts import Mesh
 from ....world.scene import Bin, bin_mesh
 from .packing import pack_bytes

@@ -10,8 +10,15 @@ import numpy as np
 
 from ....base.errors import GraycastError
 from ....base.file_limits import refuse_large_picture
-from ....robot.pick.pick_files import BINS, DEPTH_STEP_M, EPISODE, MOTION, WORK, StoredEpisode
-from ....robot.pick.replay import Motion, open_replay, read_motions
+from ....robot.pick.results.pick_files import (
+    BINS,
+    DEPTH_STEP_M,
+    EPISODE,
+    MOTION,
+    WORK,
+    StoredEpisode,
+)
+from ....robot.pick.results.replay import Motion, open_replay, read_motions
 from ..page.packing import jpeg, jpeg_url, pack_words, receiving, shrunk
 from ..page.pieces import stamp_of
 from .bodies import packed_places, placed

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from ....robot.pick.replay import Replay
-from ....robot.pick.solids import joined
+from ....robot.pick.results.replay import Replay
+from ....robot.pick.tool.solids import joined
 from ....world.parts import Mesh
 from ..page.walls import packed_values
 

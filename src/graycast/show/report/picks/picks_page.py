@@ -9,7 +9,7 @@ from ....base.folder import write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....base.version import __version__
 from ....robot.pick import StoredEpisode, read_episodes, summarize
-from ....robot.pick.replay import Replay, open_replay
+from ....robot.pick.results.replay import Replay, open_replay
 from ..page import WIDTH_PX, ReportSummary
 from ..page.packing import color_table, report_script, view_record
 from ..page.pieces import Web, write_pieces, write_web, writing_page

@@ -1,0 +1,144 @@
+"""Read files of a dataset and check their form, since they may be damaged."""
+
+import zlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import GenericAlias
+from typing import Any, TypeVar
+
+import cv2
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from ...base.file_limits import refuse_large_picture, refuse_turned
+
+R = TypeVar("R")
+Form = type[R] | GenericAlias  # At run time, `list[Pose]` is a GenericAlias.
+_checker: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+class Unreadable(Exception):
+    """A file is missing, damaged or not of the required form."""
+
+
+def read_json(path: Path, form: Form[R]) -> R:
+    """Read a JSON file as a record of the given form.
+
+    Raises:
+        Unreadable: the file is missing, not JSON or not of this form.
+    """
+    try:
+        return _checker(form).validate_json(path.read_bytes())
+    except FileNotFoundError as error:
+        raise Unreadable(f"{path.name} is missing") from error
+    except OSError as error:
+        raise Unreadable(f"{path.name} cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        raise Unreadable(_first_mistake(path.name, error)) from error
+
+
+def record_as(content: Any, form: Form[R], where: str) -> R:
+    """Convert the content of a file, or of a part of it, to a record of the given form.
+
+    Raises:
+        Unreadable: the content is not of this form.
+    """
+    try:
+        return _checker(form).validate_python(content)
+    except ValidationError as error:
+        raise Unreadable(_first_mistake(where, error)) from error
+
+
+def _first_mistake(where: str, error: ValidationError) -> str:
+    first = error.errors()[0]
+    key = ".".join(str(key) for key in first["loc"])
+    return ": ".join(filter(None, (where, key, first["msg"].removeprefix("Value error, "))))
+
+
+def read_mask(path: Path) -> np.ndarray:
+    """Read a mask (h, w) of BOP: one channel of 8 bits, 255 inside and 0 outside.
+
+    Raises:
+        Unreadable: the file is missing, damaged or not a mask.
+    """
+    image = read_png(path)
+    name = f"{path.parent.name}/{path.name}"
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise Unreadable(f"{name} is {image.shape} {image.dtype}, it must be one channel of uint8")
+    mask = image == 255
+    if (image[~mask] != 0).any():
+        raise Unreadable(f"{name} has values other than 0 and 255")
+    return mask
+
+
+def read_png(path: Path) -> np.ndarray:
+    """Return a PNG's pixels; all checksums are verified, because decoders accept truncated files.
+
+    Raises:
+        Unreadable: the file is missing or damaged.
+    """
+    return png_pixels(*_named(path))
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """Return the pixels of a picture of any format; a PNG is checked as in `read_png`.
+
+    Raises:
+        Unreadable: the file is missing or damaged.
+    """
+    return pixels(*_named(path))
+
+
+def _named(path: Path) -> tuple[bytes, str]:
+    """Return a file's content, and its name with its folder for error messages."""
+    name = f"{path.parent.name}/{path.name}"
+    try:
+        return path.read_bytes(), name
+    except OSError as error:
+        raise Unreadable(f"{name} is missing") from error
+
+
+def png_kind(path: Path) -> str:
+    """Return the colour type of an intact PNG, which decoders do not preserve."""
+    with open(path, "rb") as file:
+        kind = file.read(26)[25]
+    return {0: "grey", 2: "colour", 3: "palette"}.get(kind, "with opacity")
+
+
+def png_pixels(data: bytes, name: str) -> np.ndarray:
+    """Return the pixels of a PNG in memory, checked as in `read_png`.
+
+    Raises:
+        Unreadable: the data are damaged.
+    """
+    at, kind = 8, b""
+    while data[:8] == _PNG and kind != b"IEND" and at + 12 <= len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4], "big")
+        kind = data[at + 4 : at + 8]
+        if zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
+            break
+        at = end + 4
+    if kind != b"IEND" or at != len(data):
+        raise Unreadable(f"{name} is cut off or damaged")
+    return _decoded(data, name)
+
+
+def pixels(data: bytes, name: str) -> np.ndarray:
+    """Return the pixels of a picture in memory, of any format; a PNG is checked as in `read_png`.
+
+    Raises:
+        Unreadable: the data are damaged.
+    """
+    return png_pixels(data, name) if data.startswith(_PNG) else _decoded(data, name)
+
+
+def _decoded(data: bytes, name: str) -> np.ndarray:
+    refuse_large_picture(data, name, Unreadable)
+    refuse_turned(data, name, Unreadable)
+    encoded = np.frombuffer(data, dtype=np.uint8)
+    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if data else None
+    if image is None:
+        raise Unreadable(f"{name} is not an image, or is damaged")
+    return image

@@ -297,6 +297,18 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
             file("--pictures", "A folder for pictures of the volumes; nothing is measured then."),
         ],
     )
+    add(
+        "decoders",
+        run_decoders,
+        "Write stacks with true depth, or compare decoders on them: docs/measurements/decoders.md.",
+        [
+            of("action", choices=("write", "compare"), help="What is done with the folder."),
+            of("folder", type=Path, metavar="FOLDER", help="The folder of the scenes."),
+            of("--scenes", type=int, nargs="+", metavar="N", help="Scenes to write (default: 16)."),
+            of("--results", type=Path, metavar="DIR", help="Depth by another decoder."),
+            of("--by-material", action="store_true", help="Print rows for each material."),
+        ],
+    )
     for name, (help, options) in FIGURES.items():
         add(name, partial(run_figures, name), help, [*options, JSON])
     return parser.parse_args(words)
@@ -405,6 +417,30 @@ def run_caustics(args: argparse.Namespace) -> int:
     for figures in caustics.rows():
         print(describe(figures), flush=True)
         print()
+    return 0
+
+
+def run_decoders(args: argparse.Namespace) -> int:
+    from graycast.base.errors import GraycastError
+
+    from . import decoder_comparison, decoder_scenes
+
+    try:
+        if args.action == "write":
+            numbers = args.scenes or range(len(decoder_scenes.SCENES))
+            for path in decoder_scenes.write_scenes(
+                args.folder, numbers, on_scene=lambda number: show(f"scene {number}")
+            ):
+                print(path)
+            return 0
+        rows = []
+        for row in decoder_comparison.compared(args.folder, args.results):
+            show(f"{row.material}, {row.code}: {row.decoder}")
+            rows.append(row)
+        print(decoder_comparison.table(rows, by_material=args.by_material))
+    except GraycastError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     return 0
 
 

@@ -1,17 +1,23 @@
 """Pictures of one rendering for many scanners, and figures of a decoder against true depth."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import yaml
 from jaxtyping import Bool, Float, UInt8
 
 from graycast.camera.decode import WRONG_M, WRONG_SIGMAS, DecodeSpec, FilterSpec
 from graycast.camera.scanner import Scanner, take
 from graycast.camera.sensor import Capture
+from graycast.camera.stack import StackResult, decode_stack
 from graycast.cell.resolve import patterns_of
 from graycast.rendering.radiance import Radiance
+from graycast.rig.pair import Rig
+from graycast.rig.pattern import AXES, Axis
 from graycast.score.evaluate.shares import roc_auc
 
 EDGES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)
@@ -70,6 +76,21 @@ def pictures_of(
     own = [keys.index(key) for key in keys_of(scanner)]
     light = replace(radiance, pattern=radiance.pattern[own])
     return take(scanner, light, seed=seed), light
+
+
+def decode_with(
+    folder: Path, rig: Rig, settings: Mapping[str, Any], axes: Sequence[Axis] = AXES
+) -> StackResult:
+    """Decode a stack with other settings of its section `decode`, and only the frames of `axes`."""
+    content = yaml.safe_load((folder / "stack.yaml").read_text(encoding="utf-8"))
+    content["frames"] = [f for f in content["frames"] if f.get("axis") in (None, *axes)]
+    for frame in content["frames"]:
+        frame["file"] = str((folder / frame["file"]).resolve())
+    content["decode"] = dict(settings)
+    with TemporaryDirectory() as aside:
+        path = Path(aside) / "stack.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        return decode_stack(path, rig)
 
 
 def is_wrong(

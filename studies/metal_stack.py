@@ -9,35 +9,21 @@ The probability of a wrong depth is estimated from the columns alone, so that th
 
 import argparse
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-import yaml
 
+from benchmarks.decoders import decode_with
 from graycast.camera.decode import Reason, epipolar_residual_px, off_the_line
 from graycast.camera.rig_file import import_opencv
-from graycast.camera.stack import decode_stack
 from graycast.rig.pair import Rig
-from graycast.rig.pattern import AXES, Axis
-
-
-def decoded(folder: Path, rig: Rig, settings: dict[str, float], axes: tuple[Axis, ...]):
-    """Return the decoded stack with the given settings and only the frames of some axes."""
-    content = yaml.safe_load((folder / "stack.yaml").read_text(encoding="utf-8"))
-    content["frames"] = [f for f in content["frames"] if f.get("axis") in (None, *axes)]
-    for frame in content["frames"]:
-        frame["file"] = str((folder / frame["file"]).resolve())
-    content["decode"] = {"max_epipolar_px": 0, **settings}
-    with TemporaryDirectory() as aside:
-        path = Path(aside) / "stack.yaml"
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        return decode_stack(path, rig)
+from graycast.rig.pattern import AXES
 
 
 def real(folder: Path, rig: Rig, setting: str, value: float) -> str:
     """Return decoded, saturated and wrong shares of the real stack as a line of text."""
-    both = decoded(folder, rig, {} if setting == "max_p_wrong" else {setting: value}, AXES)
-    alone = decoded(folder, rig, {setting: value}, AXES[:1]) if setting == "max_p_wrong" else both
+    free, limited = {"max_epipolar_px": 0}, {"max_epipolar_px": 0, setting: value}
+    both = decode_with(folder, rig, free if setting == "max_p_wrong" else limited)
+    alone = decode_with(folder, rig, limited, AXES[:1]) if setting == "max_p_wrong" else both
     residual_px = epipolar_residual_px(both.codes, alone.depth, rig)
     known = np.isfinite(residual_px)
     wrong = off_the_line(both.codes, residual_px, rig, limit_px=2.0)[known]

@@ -158,13 +158,13 @@ def cues_of(
             maps["off the epipolar line over sigma"] = residual_px / sigma_along
     for name in _LEAST.keys() & maps.keys():
         maps[name] = np.log2(np.maximum(maps[name], np.float32(_LEAST[name])))
-    for name in NAMES:
-        alone = name.removesuffix(", around")
-        if alone != name and alone in maps:
-            maps[name] = _mean_around(maps[alone])
     cues = np.empty((len(NAMES), *decoded.shape), dtype=np.float32)
     for values, name in zip(cues, NAMES, strict=True):
-        values[:] = maps.get(name, np.float32(np.nan))
+        alone = name.removesuffix(", around")
+        if alone != name:
+            values[:] = _mean_around(cues[NAMES.index(alone)])
+        else:
+            values[:] = maps.pop(name, np.float32(np.nan))  # Its memory serves the next maps.
     return cues
 
 

@@ -55,8 +55,9 @@ The presets remove depth whose [probability](wrong_depth.md) to be wrong is abov
 (`max_p_wrong`), and flying pixels. *Without a limit*, they keep both. `paper` has plain Gray code,
 no limit and no filter. The probabilities were fitted to scenes with other parts.
 
-**Conclusion.** Without a limit, up to {bare:.1f} % of the depths are wrong, with it at most
-{preset:.1f} %. On metal, the limit keeps {least:.0f} to {most:.0f} % of the right depths."""
+**Conclusion.** Without a limit, up to {bare:.1f} % of the depths are wrong. With it, at most
+{limited}. On metal, the limit keeps {least:.0f} to {most:.0f} % of the right
+depths."""
 
 EXPOSED = """\
 `{scanner}` with the exposure that the white frame asks for, or with 0.25, 1 and 4 times it.
@@ -107,18 +108,11 @@ def measured(resolution: str, names: Iterable[str] = SCANNERS) -> Iterator[Worth
 
 def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
     """Yield the headings and texts of docs/measurements/materials.md."""
-    limited = {row.scanner for row in rows if row.code == BARE}
-    preset, bare = (
-        max(
-            100 * row.wrong
-            for row in rows
-            if row.code == code and row.scanner in limited and row.place == PARTS_PLACE
-        )
-        for code in (PRESET, BARE)
-    )
+    bare, limited = (_most_wrong(rows, code) for code in (BARE, PRESET))
     kept = _kept_metal(rows)
     shares = {"least": 100 * min(kept), "most": 100 * max(kept)}
-    text = INTRODUCTION.format(preset=preset, bare=bare, **shares, **about)
+    each = ", ".join(f"{limited[name]:.1f} % (`{name}`)" for name in bare)
+    text = INTRODUCTION.format(bare=max(bare.values()), limited=each, **shares, **about)
     yield "Depth on matt, plastic, dark and metal parts", text
     columns = {
         (row.scanner, row.code): row.scanner if row.code == PRESET else row.code for row in rows
@@ -144,6 +138,15 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
         near = {key: head for key, head in presets.items() if key[0] in (CODES_OF, "paper")}
         text = AROUND.format(pixels=AROUND_PX)
         yield "Around the parts", text + _table(beside, near, AROUND_PLACE)
+
+
+def _most_wrong(rows: list[Worth], code: str) -> dict[str, float]:
+    """Return the largest share of wrong depths on parts [%] of each scanner with a code."""
+    most: dict[str, float] = {}
+    for row in rows:
+        if row.code == code and row.place == PARTS_PLACE:
+            most[row.scanner] = max(100 * row.wrong, most.get(row.scanner, 0.0))
+    return most
 
 
 def _kept_metal(rows: list[Worth]) -> list[float]:

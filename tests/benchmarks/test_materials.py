@@ -54,7 +54,7 @@ def test_the_page_has_a_row_for_every_material():
     assert table.startswith("| decoded; wrong; error/sigma | like-phoxi-m | without a limit |")
     words = words.replace("\n", " ")
     assert "2026-01-02 at commit `abc`" in words
-    assert "up to 30.0 % of the depths are wrong, with it at most 0.4 %." in words
+    assert "up to 30.0 % of the depths are wrong. With it, at most 0.4 % (`like-phoxi-m`)." in words
     assert "the limit keeps 90 to 90 % of the right depths" in words
     assert "| matt | 50; 0.4; 1.00 | 50; 30.0; 1.00 |" in table
 

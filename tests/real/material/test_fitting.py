@@ -1,6 +1,7 @@
 """Fits of light that the renderer's own BSDF, or Lambert's law, has made with known numbers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,6 +144,27 @@ def test_a_polished_metal_without_its_highlight_is_refused(cpu_device):
     light = lit(pixels, surface("metal", 0.6, 0.13))
     with pytest.raises(GraycastError, match="no pixel shows the highlight"):
         fit_material(light, scale=SCALE, seed=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("metal", [False, True])
+def test_a_smooth_surface_with_many_dark_and_saturated_pixels_is_refused_as_polished(
+    metal, cpu_device
+):
+    pixels = lit(heap(800, widest_rad=0.5, seed=3), surface("metal", 0.6, 0.25))
+    polished = replace(pixels, dark_share=0.08, saturated_share=0.03)
+    with pytest.raises(GraycastError, match="8% of the pixels return no light and 3% are sat"):
+        fit_material(polished, scale=SCALE, metal=metal, seed=0)
+    shadowed = replace(polished, saturated_share=0.005)
+    fit = fit_material(shadowed.part(np.arange(700)), scale=SCALE, metal=metal, seed=0)
+    assert fit.roughness.value == pytest.approx(0.25, abs=0.05)
+
+
+def test_a_part_of_the_pixels_keeps_the_shares_of_the_surface():
+    whole = replace(heap(20, widest_rad=0.5, seed=3), dark_share=0.25, saturated_share=0.5)
+    part = whole.part(np.array([1, 4]))
+    assert (len(part), part.dark_share, part.saturated_share) == (2, 0.25, 0.5)
+    assert np.array_equal(part.normal, whole.normal[[1, 4]])
 
 
 def test_a_flat_likelihood_profile_keeps_the_best_color_inside_its_limits(monkeypatch):

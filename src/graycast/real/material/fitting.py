@@ -52,6 +52,8 @@ MOST_SCATTER = 0.5  # No opaque material alone has a larger relative scatter.
 TAIL = 2.0
 BRIGHT_SHARE = 0.05  # As large a share of saturated pixels shows that there is a highlight.
 WIDE = 0.3  # A wider interval of roughness is no result.
+# A smooth surface with larger shares of dark and of saturated pixels mirrors like polished metal.
+MIRROR_DARK, MIRROR_SATURATED, MIRROR_ROUGHNESS = 0.05, 0.01, 0.375
 
 
 @public_value
@@ -137,10 +139,12 @@ def fit_material(
     kind = max(KINDS, key=lambda one: best[one].score)
     other = next(one for one in KINDS if one != kind)
     curves, top = fits[kind], best[kind]
+    roughness = _interval([c.roughness for c in curves], [c.score for c in curves])
+    _refuse_mirror(observations, roughness.value)
     return MaterialFit(
         kind=kind,
         color=_color_interval(model, kind, curves),
-        roughness=_interval([c.roughness for c in curves], [c.score for c in curves]),
+        roughness=roughness,
         scale=top.scale,
         known=scale is not None,
         scatter=top.scatter,
@@ -169,10 +173,12 @@ def _scattering(model: SurfaceModel, observations: Reflections, scale: float | N
             low=min(low * (1 - sure), 1.0),
             high=min(high * (1 + sure), 1.0),
         )
+    roughness = _interval([c.roughness for c in curves], [c.score for c in curves])
+    _refuse_mirror(observations, roughness.value)
     return MaterialFit(
         kind="metal",
         color=color,
-        roughness=_interval([c.roughness for c in curves], [c.score for c in curves]),
+        roughness=roughness,
         scale=top.scale if scale is None else scale,
         known=scale is not None,
         scatter=top.scatter,
@@ -181,6 +187,17 @@ def _scattering(model: SurfaceModel, observations: Reflections, scale: float | N
         angles_rad=_angle_range(observations, top),
         diffuse=_color_interval(model, "scattering metal", curves),
     )
+
+
+def _refuse_mirror(observations: Reflections, roughness: float) -> None:
+    """Raise `GraycastError` if the shares of dark and saturated pixels are those of a mirror."""
+    dark, saturated = observations.dark_share, observations.saturated_share
+    if roughness < MIRROR_ROUGHNESS and dark > MIRROR_DARK and saturated > MIRROR_SATURATED:
+        raise GraycastError(
+            f"{dark:.0%} of the pixels return no light and {saturated:.0%} are saturated, as on "
+            "polished metal, whose highlight a scan does not show: choose a material by name; or "
+            "mark only pixels that the projector reaches, if shadows are the cause"
+        )
 
 
 def _angle_range(observations: Reflections, top: _Curve) -> tuple[float, float]:

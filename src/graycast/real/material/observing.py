@@ -1,6 +1,6 @@
 """The reflection that one scan observes: geometry and the projector's light per pixel."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,6 +32,8 @@ class Reflections:
 
     `light` is proportional to `f cos(theta)`, with the BSDF f and the angle between normal and
     projector. Where `clipped`, a picture is saturated, and the true light is at least `light`.
+    `dark_share` and `saturated_share` count all pixels of the surface, with or without a normal:
+    those that return no light, and those that saturate. They are 0 if no mask marks the surface.
     """
 
     normal: arrays.FloatArray_n_3
@@ -44,6 +46,8 @@ class Reflections:
     area_px: arrays.FloatArray_n  # The number of pixels that determine the normal
     pixel: arrays.IntArray_n_2  # Row and column
     point_m: arrays.FloatArray_n_3  # Place in the camera's frame
+    dark_share: float = 0.0
+    saturated_share: float = 0.0
 
     def __len__(self) -> int:
         return len(self.light)
@@ -61,7 +65,8 @@ class Reflections:
 
     def part(self, index: arrays.IntArray_n) -> "Reflections":
         """Return the pixels with these numbers."""
-        return Reflections(**{name: getattr(self, name)[index] for name in self.__slots__})
+        values = {name: getattr(self, name) for name in self.__slots__}
+        return replace(self, **{k: v[index] for k, v in values.items() if np.ndim(v)})
 
 
 def observe(

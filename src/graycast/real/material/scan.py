@@ -1,7 +1,7 @@
 """The observations of a stack of pictures, checked for faults that would spoil a fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from ...base import array_types as arrays
 from ...base.errors import ConfigError, GraycastError
 from ...base.public_value import public_value
-from ...camera.decode import Mark, Reason
+from ...camera.decode import FilterSpec, Mark, Reason, filter_depth
 from ...camera.rig_file import load_scanner
 from ...camera.scanner import Scanner
 from ...camera.stack import StackResult, decode_stack, read_description
@@ -23,6 +23,7 @@ from .observing import Reflections, observe
 from .saturated import continue_planes
 
 MOST_SATURATED = 0.5  # A surface with a larger saturated share is refused.
+WITHOUT_EDGES = FilterSpec(edge_px=1.0)  # Pixels at edges would join the surfaces of two parts.
 LEAST_MEASURED = 0.3  # A rig is refused if a smaller share of the decoded pixels has depth.
 
 
@@ -44,6 +45,7 @@ class MaterialScan:
         """Return the observations of the pixels in a mask; None is all pixels.
 
         A saturated pixel counts as at least as bright as the range, if its surface is known.
+        Without a mask, pixels at depth steps and holes are left out.
 
         Raises:
             GraycastError: the mask has another size, a large part of the surface is saturated, or
@@ -51,13 +53,17 @@ class MaterialScan:
         """
         codes = self.result.codes
         shape = codes.reason.shape
-        inside = np.ones(shape, dtype=bool) if mask is None else mask
+        saturated = codes.reason == Reason.SATURATED
+        inside = mask
+        if inside is None:
+            assert self.result.depth is not None
+            apart = filter_depth(self.result.depth, WITHOUT_EDGES, self.scanner.rig)
+            inside = np.isfinite(apart.depth_m) | saturated
         if inside.shape != shape:
             raise GraycastError(
                 f"a mask has {inside.shape[1]} x {inside.shape[0]} px, and the pictures of "
                 f"{self.path} have {shape[1]} x {shape[0]} px: give masks of the pictures"
             )
-        saturated = codes.reason == Reason.SATURATED
         if codes.mark is not None:
             saturated |= (codes.mark & Mark.CLIPPED) > 0
         lit = inside & (codes.reason != Reason.SHADOW)
@@ -73,14 +79,21 @@ class MaterialScan:
         if decoded.any():
             white = np.maximum((direct + indirect)[decoded], 1e-9)
             direct[bright] = np.median(direct[decoded] / white) * levels.range_dn
-        return observe(
+        observations = observe(
             self.scanner.rig,
             codes,
             self.surface_m,
             direct,
             levels,
-            mask=mask,
+            mask=inside,
             exposure=self.exposure,
+        )
+        if mask is None or not mask.any():
+            return observations
+        return replace(
+            observations,
+            dark_share=float(1 - lit[mask].mean()),
+            saturated_share=float(saturated[mask].mean()),
         )
 
     def _light(self) -> tuple[arrays.FloatArray_h_w, arrays.FloatArray_h_w]:

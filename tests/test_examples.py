@@ -97,9 +97,10 @@ def test_plain_gray_code_fails_in_a_bowl_and_micro_phases_do_not(tmp_path):
 
 @pytest.mark.slow
 def test_a_scanner_measures_depth_with_a_user_s_own_code(tmp_path):
+    """One coded axis is less evidence than two, so the preset's limit removes more depth."""
     text = run("04_own_code.py", tmp_path)
     assert "11 frames" in text
-    assert float(re.search(r"([\d.]+)% of the pixels", text)[1]) > 50
+    assert float(re.search(r"([\d.]+)% of the pixels", text)[1]) > 40
     assert float(re.search(r"median error ([\d.]+) mm", text)[1]) < 1
 
 

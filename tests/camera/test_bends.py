@@ -52,18 +52,6 @@ def test_sigma_at_a_fold_increases_by_a_quarter_of_the_bend(turn):
     np.testing.assert_array_equal(np.delete(sigma_m, (19, 20, 21), axis=1), np.float32(SIGMA_M))
 
 
-@pytest.mark.parametrize("turn", [False, True])
-@pytest.mark.parametrize(("angle_deg", "bends"), [(79.0, True), (81.0, False)])
-def test_a_step_between_two_surfaces_is_no_bend(turn, angle_deg, bends):
-    """Oracle: a step of tan(angle) times the width of a pixel, which is 1 / 100 of the depth."""
-    x, _ = grid()
-    inverse = np.where(x < 20, 1 + np.tan(np.radians(angle_deg)) / 100, 1.0)
-    step = map_of(np.ascontiguousarray(inverse.T) if turn else inverse)
-    sigma_m = with_bends(step).sigma_m
-    assert ((sigma_m.T if turn else sigma_m)[:, 20] > 2 * SIGMA_M).all() == bends
-    assert (sigma_m > 2 * SIGMA_M).any() == bends
-
-
 def test_errors_at_pixels_that_a_step_crosses_agree_with_sigma():
     """A step divides each row at another position; a pixel there sees a share of both surfaces."""
     rng = np.random.default_rng(7)

@@ -116,7 +116,7 @@ TERMS = (
         of="depth",
         law="z^2/4 sqrt(k^2 - 4 sigma_k^2)",
         source="sigma.bend_m",
-        zero="on planes, and beside gaps and steps between surfaces",
+        zero="on planes and beside gaps",
     ),
 )
 
@@ -128,7 +128,6 @@ BEND_SIGMAS = 2.0  # A bend of less than this many standard deviations may be no
 # largest bend at the pixel or its neighbours is 0.75 of the step. A fold makes an error of at most
 # 1/8 of the bend. This share is between the two; see docs/measurements/materials.md.
 BEND_SHARE = 0.25
-BEND_DEG = 80.0  # Steeper neighbours are two surfaces, and a pixel shows one of them or neither.
 STEP_RATIO = 4.0  # A change of position this many times that on a facing surface is a step.
 
 
@@ -282,33 +281,30 @@ def bend_m(depth: DepthMap) -> Float[np.ndarray, "h w"]:
     A pixel sees an area. If a fold or small step crosses this area, the measured depth differs from
     the depth at its centre. A bend is the second difference of inverse depth along a row or column,
     which is 0 on a plane. The largest bend of the pixel and its neighbours counts, less the noise.
-    Next to a pixel without depth, or to another surface, the bend is unknown and adds nothing.
+    Next to a pixel without depth the bend is unknown and adds nothing.
     """
     inverse = 1 / depth.depth_m
     noise2 = np.square(depth.sigma_m * np.square(inverse))
     bend2 = np.zeros((2, *inverse.shape), dtype=np.float32)
-    most = math.tan(math.radians(BEND_DEG)) / np.array([depth.camera.fx_px, depth.camera.fy_px])
-    _find_bends(inverse, noise2, BEND_SIGMAS**2, most, bend2)
+    _find_bends(inverse, noise2, BEND_SIGMAS**2, bend2)
     sigma_m = np.zeros_like(depth.depth_m)
     _share_of_bends(bend2, depth.depth_m, BEND_SHARE, sigma_m)
     return sigma_m
 
 
 @kernel(parallel=True)
-def _find_bends(inverse, noise2, sigmas2, most, bend2):
-    """Write the squared bend of each axis, minus the noise; 0 beyond `most` change of depth."""
+def _find_bends(inverse, noise2, sigmas2, bend2):
+    """Write the squared bend along the row and the column at each pixel, minus the noise."""
     h, w = inverse.shape
     for y in numba.prange(h):
         for axis, down, right in ((0, 0, 1), (1, 1, 0)):
             if down <= y < h - down:
                 for x in range(right, w - right):
                     before, after = (y - down, x - right), (y + down, x + right)
-                    own, first, second = inverse[y, x], inverse[before], inverse[after]
-                    steep = max(abs(first - own), abs(second - own)) > most[axis] * own
-                    bend = first + second - 2 * own
+                    bend = inverse[before] + inverse[after] - 2 * inverse[y, x]
                     noise = noise2[before] + noise2[after] + 4 * noise2[y, x]
                     beyond = bend * bend - sigmas2 * noise
-                    bend2[axis, y, x] = beyond if beyond > 0 and not steep else 0  # 0 for NaN
+                    bend2[axis, y, x] = beyond if beyond > 0 else 0  # 0 for NaN
 
 
 @kernel(parallel=True)

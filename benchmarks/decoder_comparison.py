@@ -137,9 +137,7 @@ def opencv_depth(
     ]
     pictures = [_eight_bits(files[key], scanner.sensor.bit_depth) for key in bits]
     projector = scanner.rig.projector
-    decoder = cv2.structured_light.GrayCodePattern.create(  # type: ignore[attr-defined]
-        projector.width_px, projector.height_px
-    )
+    decoder = cv2.structured_light.GrayCodePattern.create(projector.width_px, projector.height_px)
     decoder.setWhiteThreshold(LEAST_DN)
     place = {axis: np.full(pixels.shape, np.nan, dtype=np.float32) for axis in AXES}
     for y, x in np.argwhere(pixels):

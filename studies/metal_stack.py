@@ -24,6 +24,7 @@ def real(folder: Path, rig: Rig, setting: str, value: float) -> str:
     free, limited = {"max_epipolar_px": 0}, {"max_epipolar_px": 0, setting: value}
     both = decode_with(folder, rig, free if setting == "max_p_wrong" else limited)
     alone = decode_with(folder, rig, limited, AXES[:1]) if setting == "max_p_wrong" else both
+    assert alone.depth is not None
     residual_px = epipolar_residual_px(both.codes, alone.depth, rig)
     known = np.isfinite(residual_px)
     wrong = off_the_line(both.codes, residual_px, rig, limit_px=2.0)[known]

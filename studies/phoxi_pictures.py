@@ -11,7 +11,8 @@ The scans are in ../shared/data, which is no part of the project.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -100,10 +101,11 @@ def observed(rig: Rig, scans: Sequence[ColorScan], channel: int, inside: str) ->
                 clipped=stored == 1,
             )
         )
-    names = [field.name for field in fields(Reflections)]
-    return Reflections(
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    )
+    names = [field.name for field in fields(Reflections) if field.default is MISSING]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+    }
+    return Reflections(**joined)
 
 
 def prediction(true: Float[np.ndarray, " n"], own: Float[np.ndarray, " n"]) -> list[str]:

@@ -12,8 +12,8 @@ class Reason(IntEnum):
     """The reason why a pixel has no depth; 0 is a pixel that has depth.
 
     These functions set it (modules of `camera/decode`; the last one is in `camera/stack`). A pixel
-    with a larger probability than `max_p_wrong` gets the reason of the evidence against it, which
-    `evidence/cues.py` lists.
+    with a larger probability than `max_p_wrong` gets the reason of the evidence against it, from
+    `evidence/wrong.py`, `spoken_against`.
 
         SHADOW             positions._judge_row
         LOW_MODULATION     positions._judge_row

@@ -109,8 +109,8 @@ def measured(resolution: str, names: Iterable[str] = SCANNERS) -> Iterator[Worth
 def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
     """Yield the headings and texts of docs/measurements/materials.md."""
     bare, limited = (_most_wrong(rows, code) for code in (BARE, PRESET))
-    kept = _kept_metal(rows)
-    shares = {"least": 100 * min(kept), "most": 100 * max(kept)}
+    metal = _metal_shares(rows)
+    shares = {"least": 100 * min(metal), "most": 100 * max(metal)}
     each = ", ".join(f"{limited[name]:.1f} % (`{name}`)" for name in bare)
     text = INTRODUCTION.format(bare=max(bare.values()), limited=each, **shares, **about)
     yield "Depth on matt, plastic, dark and metal parts", text
@@ -149,7 +149,7 @@ def _most_wrong(rows: list[Worth], code: str) -> dict[str, float]:
     return most
 
 
-def _kept_metal(rows: list[Worth]) -> list[float]:
+def _metal_shares(rows: list[Worth]) -> list[float]:
     """Return the shares of the right depths on metal that the presets keep with their limit."""
     right = {
         (row.scanner, row.code, row.material): row.right

@@ -425,6 +425,10 @@ def run_decoders(args: argparse.Namespace) -> int:
 
     from . import decoder_comparison, decoder_scenes
 
+    foreign = "--results or --by-material" if args.action == "write" else "--scenes"
+    if args.scenes if args.action == "compare" else args.results or args.by_material:
+        print(f"error: {args.action} takes no {foreign}", file=sys.stderr)
+        return 2
     try:
         if args.action == "write":
             numbers = args.scenes or range(len(decoder_scenes.SCENES))

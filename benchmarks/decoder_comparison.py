@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from graycast.base.errors import GraycastError
 from graycast.base.tables import markdown_table
-from graycast.camera.decode import CodeMap, triangulate
+from graycast.camera.decode import CodeMap, Reason, triangulate
 from graycast.camera.rig_file import load_scanner
 from graycast.camera.scanner import Scanner
 from graycast.rig.pair import Rig
@@ -21,11 +22,17 @@ from graycast.rig.pattern import AXES
 from graycast.score.evaluate.shares import roc_auc
 
 from .decoder_scenes import ABOUT, TRUTH
-from .decoders import calibration_error, decode_with, decoded_at_limit, is_wrong, reliability
+from .decoders import (
+    NO_LIMITS,
+    calibration_error,
+    decode_with,
+    decoded_at_limit,
+    is_wrong,
+    reliability,
+)
 
 OURS, LIMITED, PAPER, OPENCV = "graycast", "graycast, `max_p_wrong` 0.02", "paper", "OpenCV"
 LIMIT = 0.02
-EVERYTHING = {"min_contrast": 0.002, "doubt": 0, "max_epipolar_px": 0}
 LEAST_DN = 5  # OpenCV refuses a bit whose picture and inverse differ by less.
 
 
@@ -93,7 +100,7 @@ def _decoded(
     scanner = load_scanner(stack / "rig.yaml")
     rig = scanner.rig
     start = time.perf_counter()
-    ours = _maps(stack, rig, EVERYTHING | {"max_p_wrong": 0.9999})
+    ours = _maps(stack, rig, {**NO_LIMITS, "max_p_wrong": 0.9999})
     seconds = time.perf_counter() - start
     yield OURS, ours, seconds
     assert ours.p_wrong is not None
@@ -106,7 +113,8 @@ def _decoded(
         if hasattr(cv2, "structured_light"):
             yield OPENCV, Maps(depth_m=opencv_depth(stack, scanner, parts)), np.nan
     if results is not None:
-        yield results.name, read_result(results / stack.parent.name / f"{stack.name}.npz"), np.nan
+        file = results / stack.parent.name / f"{stack.name}.npz"
+        yield results.name, read_result(file, parts.shape), np.nan
 
 
 def _maps(stack: Path, rig: Rig, settings: Mapping[str, Any]) -> Maps:
@@ -125,9 +133,8 @@ def opencv_depth(
     """
     content = yaml.safe_load((stack / "stack.yaml").read_text(encoding="utf-8"))
     files = {
-        (frame.get("axis"), frame["kind"], frame.get("bit"), bool(frame.get("inverse"))): file
+        (frame.get("axis"), frame["kind"], frame.get("bit"), "inverse" in frame): frame["file"]
         for frame in content["frames"]
-        if (file := stack / frame["file"])
     }
     bits = [
         (axis, "gray", bit, inverse)
@@ -135,7 +142,7 @@ def opencv_depth(
         for bit in sorted({key[2] for key in files if key[:2] == (axis, "gray")}, reverse=True)
         for inverse in (False, True)
     ]
-    pictures = [_eight_bits(files[key], scanner.sensor.bit_depth) for key in bits]
+    pictures = [_eight_bits(stack / files[key], scanner.sensor.bit_depth) for key in bits]
     projector = scanner.rig.projector
     decoder = cv2.structured_light.GrayCodePattern.create(projector.width_px, projector.height_px)
     decoder.setWhiteThreshold(LEAST_DN)
@@ -157,7 +164,7 @@ def _triangulated(
         sigma_column=half,
         sigma_row=half,
         modulation=np.ones_like(half),
-        reason=np.where(np.isnan(column), 1, 0).astype(np.uint8),
+        reason=np.where(np.isnan(column), Reason.SHADOW, Reason.DECODED).astype(np.uint8),
     )
     return triangulate(codes, rig).depth_m
 
@@ -169,22 +176,29 @@ def _eight_bits(file: Path, bit_depth: int) -> np.ndarray:
     return (picture >> max(bit_depth - 8, 0)).astype(np.uint8)
 
 
-def read_result(path: Path) -> Maps:
+def read_result(path: Path, shape: tuple[int, ...]) -> Maps:
     """Read the maps of another decoder.
 
     Raises:
-        GraycastError: the file is missing, or has no depth or unknown maps.
+        GraycastError: the file is missing or damaged, or has no depth, or maps that are unknown or
+            of another size.
     """
     if not path.exists():
         raise GraycastError(f"{path}: is missing: write one file for each stack")
-    with np.load(path) as file:
-        maps = dict(file)
+    try:
+        with np.load(path) as file:
+            maps = dict(file)
+    except (OSError, ValueError, TypeError, BadZipFile) as error:
+        raise GraycastError(f"{path}: is no NPZ file: write it with numpy.savez") from error
     unknown = set(maps) - set(Maps.__slots__)
     if unknown or "depth_m" not in maps:
         raise GraycastError(
             f"{path}: has {', '.join(sorted(maps))}: store depth_m, and sigma_m and p_wrong if "
             "they are known"
         )
+    if wrong := [name for name, values in maps.items() if values.shape != shape]:
+        h, w = shape
+        raise GraycastError(f"{path}: {wrong[0]} has not the camera's size of {w} x {h} px")
     return Maps(**maps)
 
 

@@ -4,8 +4,6 @@ docs/measurements/decoders.md describes the files. A change of `SCENES` or of th
 published figures incomparable.
 """
 
-import os
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 import yaml
 
 from graycast.base.errors import GraycastError
+from graycast.base.folder import new_folder
 from graycast.camera.scanner import Scanner
 from graycast.dataset.files.sample import Raw
 from graycast.dataset.write.raw import raw_files
@@ -89,18 +88,9 @@ def write_scenes(
             final = folder / f"scene_{number:02d}"
             if not final.exists():
                 on_scene(number)
-                _write_scene(renderer, SCENES[number], final, samples)
+                with new_folder(final) as work:
+                    _fill(renderer, SCENES[number], work, samples)
             yield final
-
-
-def _write_scene(renderer: Renderer, scene: BenchmarkScene, final: Path, samples: int) -> None:
-    """Write a scene under a temporary name and rename it, so that it is never incomplete."""
-    work = final.with_name(f".{final.name}.{os.getpid()}")
-    try:
-        _fill(renderer, scene, work, samples)
-        work.rename(final)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
 
 
 def _fill(renderer: Renderer, scene: BenchmarkScene, folder: Path, samples: int) -> None:

@@ -22,14 +22,12 @@ from graycast.score.evaluate.shares import roc_auc
 
 EDGES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 0.9)
 MOST_WRONG = 0.01
+NO_LIMITS: Mapping[str, Any] = {"min_contrast": 0.002, "doubt": 0.0, "max_epipolar_px": 0.0}
 
 
 def bare(scanner: Scanner) -> Scanner:
     """Return the scanner without any limit against wrong depths, and with the same faults."""
-    decode = DecodeSpec(
-        min_contrast=0.002, min_sigmas=0.0, doubt=0.0, min_visibility=0.0, max_epipolar_px=0.0
-    )
-    return replace(scanner, decode=decode, filters=FilterSpec())
+    return replace(scanner, decode=DecodeSpec(**NO_LIMITS), filters=FilterSpec())
 
 
 def with_single_limits(scanner: Scanner) -> Scanner:

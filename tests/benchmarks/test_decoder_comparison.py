@@ -130,7 +130,13 @@ def test_results_of_another_decoder_that_are_missing_or_unknown_are_named(folder
         list(compared(folder, tmp_path))
     np.savez(tmp_path / "other.npz", depth=np.zeros(SHAPE))
     with pytest.raises(GraycastError, match="has depth: store depth_m, and sigma_m"):
-        read_result(tmp_path / "other.npz")
+        read_result(tmp_path / "other.npz", SHAPE)
+    np.savez(tmp_path / "small.npz", depth_m=np.zeros((2, 3)))
+    with pytest.raises(GraycastError, match="depth_m has not the camera's size of 64 x 48 px"):
+        read_result(tmp_path / "small.npz", SHAPE)
+    (tmp_path / "text.npz").write_text("no zip")
+    with pytest.raises(GraycastError, match=r"text.npz: is no NPZ file"):
+        read_result(tmp_path / "text.npz", SHAPE)
 
 
 def test_a_scene_that_does_not_exist_is_refused(tmp_path):

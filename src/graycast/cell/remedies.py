@@ -40,7 +40,8 @@ def remedies(scanner: Scanner) -> tuple[Remedy, ...]:
             scanner, exposure=replace(exposure, auto=False, factors=(0.05, 0.5, 4.0, 30.0))
         ),
         "decode: {max_p_wrong: 0.05}": replace(
-            scanner, decode=replace(scanner.decode, max_p_wrong=0.05)
+            scanner,
+            decode=replace(scanner.decode, max_p_wrong=max(0.05, scanner.decode.max_p_wrong)),
         ),
     }
     return tuple(

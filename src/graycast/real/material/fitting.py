@@ -139,12 +139,10 @@ def fit_material(
     kind = max(KINDS, key=lambda one: best[one].score)
     other = next(one for one in KINDS if one != kind)
     curves, top = fits[kind], best[kind]
-    roughness = _interval([c.roughness for c in curves], [c.score for c in curves])
-    _refuse_mirror(observations, roughness.value)
     return MaterialFit(
         kind=kind,
         color=_color_interval(model, kind, curves),
-        roughness=roughness,
+        roughness=_interval([c.roughness for c in curves], [c.score for c in curves]),
         scale=top.scale,
         known=scale is not None,
         scatter=top.scatter,
@@ -173,12 +171,10 @@ def _scattering(model: SurfaceModel, observations: Reflections, scale: float | N
             low=min(low * (1 - sure), 1.0),
             high=min(high * (1 + sure), 1.0),
         )
-    roughness = _interval([c.roughness for c in curves], [c.score for c in curves])
-    _refuse_mirror(observations, roughness.value)
     return MaterialFit(
         kind="metal",
         color=color,
-        roughness=roughness,
+        roughness=_interval([c.roughness for c in curves], [c.score for c in curves]),
         scale=top.scale if scale is None else scale,
         known=scale is not None,
         scatter=top.scatter,
@@ -189,23 +185,20 @@ def _scattering(model: SurfaceModel, observations: Reflections, scale: float | N
     )
 
 
-def _refuse_mirror(observations: Reflections, roughness: float) -> None:
-    """Raise `GraycastError` if the shares of dark and saturated pixels are those of a mirror."""
+def _angle_range(observations: Reflections, top: _Curve) -> tuple[float, float]:
+    """Return the 2nd and 98th percentile of the half angle, if they determine the best fit.
+
+    Raises:
+        GraycastError: no pixel shows the highlight, the surface is polished, or the light is that
+            of no opaque material.
+    """
     dark, saturated = observations.dark_share, observations.saturated_share
-    if roughness < MIRROR_ROUGHNESS and dark > MIRROR_DARK and saturated > MIRROR_SATURATED:
+    if top.roughness < MIRROR_ROUGHNESS and dark > MIRROR_DARK and saturated > MIRROR_SATURATED:
         raise GraycastError(
             f"{dark:.0%} of the pixels return no light and {saturated:.0%} are saturated, as on "
             "polished metal, whose highlight a scan does not show: choose a material by name; or "
             "mark only pixels that the projector reaches, if shadows are the cause"
         )
-
-
-def _angle_range(observations: Reflections, top: _Curve) -> tuple[float, float]:
-    """Return the 2nd and 98th percentile of the half angle, if they determine the best fit.
-
-    Raises:
-        GraycastError: no pixel shows the highlight, or the light is that of no opaque material.
-    """
     if top.scatter > MOST_SCATTER:
         raise GraycastError(
             f"the light of the pixels scatters by {top.scatter:.0%} about any opaque material: "

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from ...base import array_types as arrays
 from ...base.errors import ConfigError, GraycastError
 from ...base.public_value import public_value
-from ...camera.decode import Mark, Reason
+from ...camera.decode import FilterSpec, Mark, Reason, filter_depth
 from ...camera.rig_file import load_scanner
 from ...camera.scanner import Scanner
 from ...camera.stack import StackResult, decode_stack, read_description
@@ -23,7 +23,7 @@ from .observing import Reflections, observe
 from .saturated import continue_planes
 
 MOST_SATURATED = 0.5  # A surface with a larger saturated share is refused.
-EDGE_PX = 1.0  # Pixels up to this distance from an edge show two surfaces, and are left out.
+WITHOUT_EDGES = FilterSpec(edge_px=1.0)  # Pixels at edges would join the surfaces of two parts.
 LEAST_MEASURED = 0.3  # A rig is refused if a smaller share of the decoded pixels has depth.
 
 
@@ -45,6 +45,7 @@ class MaterialScan:
         """Return the observations of the pixels in a mask; None is all pixels.
 
         A saturated pixel counts as at least as bright as the range, if its surface is known.
+        Without a mask, pixels at depth steps and holes are left out.
 
         Raises:
             GraycastError: the mask has another size, a large part of the surface is saturated, or
@@ -53,7 +54,11 @@ class MaterialScan:
         codes = self.result.codes
         shape = codes.reason.shape
         saturated = codes.reason == Reason.SATURATED
-        inside = np.ones(shape, dtype=bool) if mask is None else mask
+        inside = mask
+        if inside is None:
+            assert self.result.depth is not None
+            apart = filter_depth(self.result.depth, WITHOUT_EDGES, self.scanner.rig)
+            inside = np.isfinite(apart.depth_m) | saturated
         if inside.shape != shape:
             raise GraycastError(
                 f"a mask has {inside.shape[1]} x {inside.shape[0]} px, and the pictures of "
@@ -80,7 +85,7 @@ class MaterialScan:
             self.surface_m,
             direct,
             levels,
-            mask=mask,
+            mask=inside,
             exposure=self.exposure,
         )
         if mask is None or not mask.any():
@@ -157,8 +162,7 @@ def open_scan(path: Path | str, scanner: Scanner | None = None) -> MaterialScan:
         if own is None:
             raise ConfigError(f"{stack}: names no rig, which a material needs: give --rig")
         scanner = load_scanner(stack.parent / own)
-    filters = replace(scanner.filters, edge_px=max(EDGE_PX, scanner.filters.edge_px or 0.0))
-    result = decode_stack(stack, scanner.rig, filters=filters)
+    result = decode_stack(stack, scanner.rig, filters=scanner.filters)
     assert result.depth is not None
     decoded = result.codes.reason == Reason.DECODED
     share = float(np.isfinite(result.depth.depth_m[decoded]).mean())

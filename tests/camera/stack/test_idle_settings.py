@@ -24,7 +24,6 @@ FAR_OFF = {
     "fine_bits": 0,
     "settling_votes": 8,
     "min_visibility": 0.95,
-    "max_p_wrong": 0.1,
 }
 LEVELS = Levels(offset_dn=0.0, saturation_dn=255.0, floor_dn2=4.0, slope_dn=0.5)
 

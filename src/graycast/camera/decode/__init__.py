@@ -16,7 +16,7 @@ union_find     connected surfaces of pixels
 outliers, median, filters   filters that remove or smooth depth, as devices do
 """
 
-from .evidence import without_doubt
+from .evidence import without_doubt, without_doubtful_positions
 from .filters import filter_depth
 from .maps import (
     WRONG_M,
@@ -74,4 +74,5 @@ __all__ = [
     "triangulate",
     "triangulation_axis",
     "without_doubt",
+    "without_doubtful_positions",
 ]

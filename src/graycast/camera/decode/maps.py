@@ -152,8 +152,9 @@ class DecodeSpec:
         Field(
             gt=0,
             le=1,
-            description="Largest probability that a depth is wrong, estimated from all frames and "
-            "the neighbours of the pixel. Less likely depth is removed. 1 switches this off.",
+            description="Largest probability that a depth is wrong, or without a rig a position, "
+            "estimated from all frames and the neighbours of the pixel. Depth with a larger "
+            "probability is removed. 1 switches this off.",
         ),
     ] = 1.0
 

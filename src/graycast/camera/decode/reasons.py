@@ -57,7 +57,7 @@ class Reason(IntEnum):
         return self.label.replace("_", " ")
 
 
-# A pixel with one of these reasons has a position in the projector's picture.
+# With a rig, a pixel with one of these reasons has a position in the projector's picture.
 POSITIONED = (Reason.DECODED, Reason.OUT_OF_RANGE, Reason.OUTLIER)
 
 _APPEARANCE = {

@@ -29,6 +29,7 @@ from ..decode import (
     triangulate,
     triangulation_axis,
     without_doubt,
+    without_doubtful_positions,
 )
 from ..decode.plan import plan_axes
 from ..sigma import with_ripple
@@ -75,6 +76,8 @@ class StackResult:
     """The result of decoding a stack. Without a rig there is no depth and no cloud.
 
     `light` is direct and global light [DN above offset], or None if the code cannot separate them.
+    `p_wrong` is the probability that a depth, or without a rig a position, is wrong; it is NaN
+    without depth or position, and None if `max_p_wrong` is 1.
     """
 
     code: Code
@@ -86,6 +89,7 @@ class StackResult:
     notes: tuple[str, ...]  # Facts that the stack does not determine, and settings without effect
     seconds: dict[str, float]
     depth: DepthMap | None = None
+    p_wrong: arrays.FloatArray_h_w | None = None
     cloud: Cloud | None = None
     light: tuple[arrays.FloatArray_h_w, arrays.FloatArray_h_w] | None = None
 
@@ -129,8 +133,13 @@ def decode_stack(
     picture = _picture(pictures, code)
     clock.lap("diagnosis")
     depth = cloud = residual_px = None
-    positions, by_noise, notes = codes, codes, list[str]()
-    if rig is not None:
+    by_noise, notes = codes, list[str]()
+    evidence = pictures.frames, code, levels.levels
+    if rig is None:
+        positions, p_wrong = without_doubtful_positions(
+            codes, *evidence, max_p_wrong=spec.max_p_wrong
+        )
+    else:
         _refuse_turned(codes, rig, path)
         warnings += _rig_size(code, rig)
         first = triangulate(codes, rig)
@@ -138,9 +147,9 @@ def decode_stack(
             residual_px = epipolar_residual_px(codes, first, rig)
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = epipolar_limit_px(stated_px, residual_px)
-        evidence = pictures.frames, code, levels.levels
         positions, sure = without_doubt(codes, first, rig, *evidence, max_p_wrong=spec.max_p_wrong)
         depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
+        p_wrong = depth.p_wrong
         if not diagnosis.explained:
             warnings += _rig_symptoms(codes, rig, first, residual_px)
             notes += doubts(codes, rig)
@@ -153,8 +162,9 @@ def decode_stack(
         clock.lap("cloud")
     figures = figures_of(pictures.frames, code, by_noise, residual_px)
     notes += idle_settings(spec, stated_px, code, rig)
-    if depth is not None:  # Only depth shows which pixels are outliers or out of range.
-        figures = replace(figures, reasons=reason_shares(depth.reason))
+    # Later steps than `decode` remove pixels, too: doubtful ones, outliers and those out of range.
+    reason = positions.reason if depth is None else depth.reason
+    figures = replace(figures, reasons=reason_shares(reason))
     light = _light(pictures, code, levels.levels)
     clock.lap("figures")
     return StackResult(
@@ -167,6 +177,7 @@ def decode_stack(
         notes=tuple(notes),
         seconds=clock.seconds,
         depth=depth,
+        p_wrong=p_wrong,
         cloud=cloud,
         light=light,
     )

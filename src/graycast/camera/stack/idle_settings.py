@@ -15,7 +15,6 @@ _NEEDS = {
     "settling_votes": "it needs phases and Gray bits of one axis",
     "min_visibility": "it needs phases or lines",
     "max_epipolar_px": "it needs a rig and frames of both axes",
-    "max_p_wrong": "it needs a rig",
 }
 
 
@@ -42,7 +41,6 @@ def idle_settings(
         ("settling_votes", spec.settling_votes, spec.settling_votes > 0, both),
         ("min_visibility", spec.min_visibility, spec.min_visibility > 0, phases),
         ("max_epipolar_px", limit_px, limit_px > 0, checked),
-        ("max_p_wrong", spec.max_p_wrong, spec.max_p_wrong < 1, rig is not None),
     )
     idle = [
         f"{name} {value:g} ({_NEEDS[name]})"

@@ -60,9 +60,9 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
         np.save(folder / "depth.npy", result.depth.depth_m)
         np.save(folder / "sigma_depth.npy", result.depth.sigma_m)
         yield from ("depth.npy", "sigma_depth.npy")
-        if result.depth.p_wrong is not None:
-            np.save(folder / "p_wrong.npy", result.depth.p_wrong)
-            yield "p_wrong.npy"
+    if result.p_wrong is not None:
+        np.save(folder / "p_wrong.npy", result.p_wrong)
+        yield "p_wrong.npy"
     if result.cloud is not None:
         write_ply(result.cloud, folder / "cloud.ply")
         yield "cloud.ply"

@@ -65,7 +65,7 @@ def _tiles(result: StackResult, step: int) -> Iterator[tuple[str, Paint]]:
     depth_mm = 1e3 * result.depth.depth_m[::step, ::step]
     limits = _limits(depth_mm)
     yield "depth", partial(_draw_map, depth_mm, "viridis_r", limits, "depth [mm]")
-    p_wrong, both = result.depth.p_wrong, len(result.code.axes) == 2
+    p_wrong, both = result.p_wrong, len(result.code.axes) == 2
     if both == (p_wrong is None):
         sigma_mm = 1e3 * result.depth.sigma_m[::step, ::step]
         limits, label = (0.0, _limits(sigma_mm)[1]), "standard deviation of the depth [mm]"

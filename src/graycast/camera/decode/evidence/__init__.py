@@ -8,7 +8,7 @@ wrong          from evidence to a probability, and the pixels that are removed
 """
 
 from .cues import CUES, NAMES, Cue, cues_of
-from .wrong import TABLE, Evidence, without_doubt
+from .wrong import TABLE, Evidence, without_doubt, without_doubtful_positions
 
 __all__ = [
     "CUES",
@@ -18,4 +18,5 @@ __all__ = [
     "Evidence",
     "cues_of",
     "without_doubt",
+    "without_doubtful_positions",
 ]

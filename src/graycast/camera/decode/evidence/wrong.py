@@ -22,7 +22,7 @@ from ....base.kernels import kernel
 from ....rig.pair import Rig
 from ....rig.pattern import Code
 from ..maps import CodeMap, DepthMap, Levels
-from ..reasons import POSITIONED
+from ..reasons import POSITIONED, Reason
 from .cues import CUES, NAMES, cues_of
 
 TABLE = "wrong.npz"
@@ -79,8 +79,7 @@ def without_doubt(
     if max_p_wrong == 1:
         return codes, depth
     cues = cues_of(frames, code, levels, codes, depth, rig)
-    p_wrong = np.full(depth.depth_m.shape, np.nan, dtype=np.float32)
-    _weigh(cues, np.isfinite(depth.depth_m), evidence(), p_wrong)
+    p_wrong = _probability(cues, np.isfinite(depth.depth_m))
     doubtful = p_wrong > np.float32(max_p_wrong)
     depth = replace(depth, p_wrong=p_wrong)
     if not doubtful.any():
@@ -88,6 +87,39 @@ def without_doubt(
     depth = depth.without(doubtful, spoken_against(cues[:, doubtful]))
     lost = doubtful & ~np.isin(depth.reason, POSITIONED)
     return codes.without(lost, depth.reason[lost]), depth
+
+
+def without_doubtful_positions(
+    codes: CodeMap,
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    code: Code,
+    levels: Levels,
+    *,
+    max_p_wrong: float,
+) -> tuple[CodeMap, Float32[np.ndarray, "h w"] | None]:
+    """Return the positions without the doubtful ones, and the probability that each is wrong.
+
+    This is `without_doubt` for a stack without a rig, which cannot give the evidence of epipolar
+    lines and mirrors. A position counts as wrong if its depth would be wrong in rigs like those of
+    the table. The probability is NaN without a position; it is None if nothing is estimated.
+    """
+    if max_p_wrong == 1:
+        return codes, None
+    cues = cues_of(frames, code, levels, codes, None, None)
+    p_wrong = _probability(cues, codes.reason == Reason.DECODED)
+    doubtful = p_wrong > np.float32(max_p_wrong)
+    if not doubtful.any():
+        return codes, p_wrong
+    p_wrong[doubtful] = np.nan
+    return codes.without(doubtful, spoken_against(cues[:, doubtful])), p_wrong
+
+
+def _probability(
+    cues: Float32[np.ndarray, "cues h w"], known: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w"]:
+    p_wrong = np.full(known.shape, np.nan, dtype=np.float32)
+    _weigh(cues, known, evidence(), p_wrong)
+    return p_wrong
 
 
 def spoken_against(

@@ -1,5 +1,8 @@
 """Recordings are read by rerun's own reader, and compared with the simulation."""
 
+import json
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -18,12 +21,15 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def recording(master, tmp_path_factory):
-    """Return the columns of each entity by name, and the static ones, as lists of rows."""
+    return recorded(master, tmp_path_factory.mktemp("rerun") / "out")
+
+
+def recorded(dataset, out):
+    """Export; return the columns of each entity by name, and the static ones, as lists of rows."""
     pytest.importorskip("rerun", reason="needs rerun: run make extras")
     from rerun.chunk import RrdReader
 
-    out = tmp_path_factory.mktemp("rerun") / "out"
-    export(master, out, Options(format="rerun"))
+    export(dataset, out, Options(format="rerun"))
     rows, static = {}, {}
     for chunk in RrdReader(out / "train.rrd").stream():
         columns = rows if not chunk.is_static else static
@@ -103,3 +109,15 @@ def test_parts_of_a_recording_have_their_meshes_and_true_poses(recording, sample
             vertex_m = np.array(mesh["Mesh3D:vertex_positions"][0])
             corners = {tuple(corner) for corner in np.round(part.mesh.vertices_m, 6)}
             assert {tuple(corner) for corner in np.round(vertex_m.astype(float), 6)} == corners
+
+
+def test_a_part_that_is_absent_from_a_picture_is_not_at_the_origin(master, tmp_path):
+    """Rerun 0.41 draws a mesh whose list of poses is empty once, at the origin of its frame."""
+    dataset = shutil.copytree(master, tmp_path / "dataset")
+    path = dataset / "train" / "000003" / "scene_gt.json"
+    gt = json.loads(path.read_text())
+    path.write_text(json.dumps({"0": [pose | {"obj_id": 1} for pose in gt["0"]]}))
+    recording = recorded(dataset, tmp_path / "out")
+    size = values(recording, "/truth/parts/2", "InstancePoses3D:mat3x3")
+    assert np.array_equal(size[3], np.zeros((1, 9)))
+    assert len(values(recording, "/truth/parts/1", "InstancePoses3D:mat3x3")[3]) == 8

@@ -56,7 +56,11 @@ def _log_models(recording: "rr.RecordingStream", stored: StoredDataset) -> None:
     if "poses" not in stored.holds:
         return
     for obj_id, model in read_models(stored.folder).items():
-        mesh = rr.Mesh3D(vertex_positions=model.mesh.vertices_m, triangle_indices=model.mesh.faces)
+        # Each face has corners of its own, so that edges look sharp.
+        mesh = rr.Mesh3D(
+            vertex_positions=model.mesh.vertices_m[model.mesh.faces].reshape(-1, 3),
+            vertex_normals=np.repeat(model.mesh.face_normal, 3, axis=0),
+        )
         for sensor in stored.sizes_px:
             recording.log(f"{_root(sensor)}/truth/parts/{obj_id}", mesh, static=True)
 
@@ -105,7 +109,7 @@ def _log_truth(recording: "rr.RecordingStream", scene: StoredScene, options: Opt
         T_cam_part, part_id = part_poses(scene), np.array(scene.obj_ids())
         for obj_id in scene.categories:
             T = T_cam_part[part_id == obj_id]
-            # A mesh without poses could appear at the origin, so an absent part gets size zero.
+            # Rerun draws a mesh without poses at the origin, so an absent part gets size zero.
             T = T if len(T) else np.zeros((1, 4, 4))
             poses = rr.InstancePoses3D(translations=T[:, :3, 3], mat3x3=T[:, :3, :3])
             recording.log(f"{root}/truth/parts/{obj_id}", poses)

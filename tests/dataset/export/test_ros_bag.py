@@ -1,5 +1,6 @@
 """Bags are read by Foxglove's decoder, which shares no code with their writer."""
 
+import shutil
 import sqlite3
 from collections import defaultdict
 
@@ -208,6 +209,24 @@ def test_equal_datasets_give_equal_bags(exported, bag):
     assert len(names) == 2
     for name in names:
         assert (bags[0] / name).read_bytes() == (bags[1] / name).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_the_points_of_a_bag_have_the_probability_that_their_depth_is_wrong(
+    master, samples, tmp_path
+):
+    """Law of the stored steps: 255 is 1, and 254 steps lower is 1e-4."""
+    dataset = shutil.copytree(master, tmp_path / "dataset")
+    step = np.random.default_rng(0).integers(0, 256, samples[0].gray.shape, dtype=np.uint8)
+    for scene_id in samples:
+        folder = dataset / "train" / f"{scene_id:06d}" / "pwrong_sl"
+        folder.mkdir()
+        cv2.imwrite(str(folder / "000000.png"), step)
+    export(dataset, tmp_path / "bag", Options(format="mcap"))
+    cloud = messages(tmp_path / "bag" / "train")["/scanner/points"][0][1]
+    assert [f.name for f in cloud.fields] == ["x", "y", "z", "rgb", "p_wrong"]
+    p_wrong = np.where(step > 0, 1e-4 ** ((255.0 - step) / 254), np.nan)
+    np.testing.assert_allclose(fields(cloud)["p_wrong"], p_wrong, rtol=1e-5)
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 Coordinates are in metres. `world/SCANNER` is the optical frame of a scanner, or of the scanner
 `scanner` if it has no name: x right, y down, z forward. The timeline `picture` has the numbers of
 the pictures. Rerun gives each row a random id, so recordings of equal datasets differ in bytes.
+Rerun's camera has no lens distortion: `points` are exact, but depth shown in 3D is not corrected.
 """
 
 from collections.abc import Iterable

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...base.errors import GraycastError
@@ -167,7 +167,7 @@ class _Bag:
 
     def image(self, image: np.ndarray, encoding: str, header: Any) -> Any:
         height_px, width_px = image.shape[:2]
-        data: UInt8[np.ndarray, " n"] = np.ascontiguousarray(image).view(np.uint8).ravel()
+        data = np.ascontiguousarray(image).view(np.uint8).ravel()
         step = len(data) // height_px
         return self.make("sensor_msgs/Image", header, height_px, width_px, encoding, 0, step, data)
 
@@ -190,7 +190,7 @@ class _Bag:
         height_px, width_px = fields["xyz"].shape[:2]
         names = ["x", "y", "z", *list(fields)[1:]]
         columns = [np.atleast_3d(column).astype("<f4") for column in fields.values()]
-        data: Float32[np.ndarray, "h w n"] = np.concatenate(columns, axis=-1)
+        data = np.concatenate(columns, axis=-1)
         point_step = 4 * len(names)
         return self.make(
             "sensor_msgs/PointCloud2", header, height_px, width_px,

@@ -62,6 +62,14 @@ def exported(master, tmp_path):
     return run
 
 
+def require_library(form):
+    """Skip the test if the library that an export format needs is not installed."""
+    if form == "parquet":
+        pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
+    if form == "rerun":
+        pytest.importorskip("rerun", reason="needs rerun: run make extras")
+
+
 def visible(sample):
     """Return the visible instances, their masks, and their boxes [x, y, columns, rows]."""
     instances = [i for i in range(8) if (sample.truth.instance == i).any()]

@@ -24,6 +24,7 @@ IMPORTED = {
     "pillow": "PIL",
     "pin": "pinocchio",
     "scikit-learn": "sklearn",
+    "rerun-sdk": "rerun",
 }
 # These come with Blender's Python or, as Coal does with Pinocchio, with another package.
 ELSEWHERE = {"bpy", "mathutils", "_cycles", "coal"}
@@ -50,7 +51,7 @@ def imported_by(folder):
 
 def test_each_dependency_is_imported_and_each_import_is_a_dependency():
     """lxml, networkx and mapbox-earcut once were dependencies that no file imported."""
-    of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "pick", "twin")]
+    of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "pick", "twin", "ros", "rerun")]
     dependencies = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
     dependencies = {name.replace("-", "_") for name in dependencies}
     assert imported_by(ROOT / "src") - ELSEWHERE - BY_HAND == dependencies

@@ -65,7 +65,7 @@ OTHERS = re.findall(r"^```python\n(.*?)^```$", ELSEWHERE, re.DOTALL | re.MULTILI
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # Warnings of other libraries do not count.
-@pytest.mark.parametrize("library", ["open3d", "trimesh", "torch", "supervision", "rerun"])
+@pytest.mark.parametrize("library", ["open3d", "trimesh", "torch", "supervision"])
 def test_another_library_accepts_the_returned_values(tmp_path, monkeypatch, library):
     """A block of the page runs if its library is installed."""
     pytest.importorskip(

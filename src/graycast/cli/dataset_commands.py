@@ -24,7 +24,8 @@ from .readers import above_zero, export_format, positive, whole
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
-_FORMATS = ("coco", "yolo", "bop-webdataset", "parquet", "clouds")
+_FORMATS = ("coco", "yolo", "bop-webdataset", "parquet", "clouds", "ros2bag", "mcap", "rerun",
+            "foundationpose")  # fmt: skip
 _OPTIONS = (  # Each has the same name in the library.
     "image", "depth", "polygons", "labels", "cloud", "organised", "shard_scenes", "link",
     "pixel_origin", "min_visibility",
@@ -106,8 +107,7 @@ def _add_export(group) -> None:
         example="out/demo --format coco --out out/coco",
     )  # fmt: skip
     _add_dataset(export)
-    page = "The page docs/reference/exports.md describes each format."
-    form = f"The format to write. {page}"
+    form = "The format to write. The page docs/reference/exports.md describes each format."
     add_option(export, "--format", _FORMATS, form, required=True, type=export_format)
     add_out(export, NEW_FOLDER)
     add_option(

@@ -37,6 +37,8 @@ _OPTIONAL = {  # each distribution, the command that installs it, and what it ad
     "scikit-learn": ("pip install 'graycast[twin]'", "real compare --classifier, and real twin"),
     "ray": ("pip install 'graycast[ray]'", "workers on a cluster: --engine ray"),
     "pyarrow": ("pip install 'graycast[parquet]'", "dataset export --format parquet"),
+    "rosbags": ("pip install 'graycast[ros]'", "dataset export --format ros2bag and mcap"),
+    "rerun-sdk": ("pip install 'graycast[rerun]'", "dataset export --format rerun"),
 }
 
 

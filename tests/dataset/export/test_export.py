@@ -3,11 +3,12 @@
 import json
 import os
 import shutil
+import sys
 
 import pytest
 from metered import Metered
 from PIL import Image
-from simulated_dataset import visible
+from simulated_dataset import require_library, visible
 
 from graycast.base.errors import DatasetError, GraycastError
 from graycast.dataset.export import FORMATS, Options, Split, export, read_record
@@ -15,6 +16,9 @@ from graycast.dataset.export import FORMATS, Options, Split, export, read_record
 # pycocotools 2.0.11 has an array type from before NumPy 2, which warns about it.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
+EACH_FORMAT = [
+    pytest.param(form, marks=pytest.mark.slow) if form == "rerun" else form for form in FORMATS
+]
 SEED = next(
     seed
     for seed in range(100)  # a seed that gives four scenes to three sets
@@ -22,25 +26,37 @@ SEED = next(
 )
 
 
-def test_every_format_lists_its_content_and_reports_each_scene(master, samples, tmp_path):
-    for form in FORMATS:
-        if form == "parquet":
-            pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
-        meter = Metered()
-        split = Split(shares=(0.5, 0.25, 0.25), seed=SEED)
-        record = export(
-            master,
-            tmp_path / form,
-            Options(format=form, split=split),
-            progress=meter,
-        )
-        assert meter.counts == [("pictures", k + 1, len(samples)) for k in range(len(samples))]
-        assert read_record(tmp_path / form) == record
-        assert record.splits == split.assign(samples)
-        assert (
-            record.fingerprint == json.loads((master / "graycast.json").read_text())["fingerprint"]
-        )
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FORMATS)
+@pytest.mark.parametrize("form", EACH_FORMAT)
+def test_every_format_lists_its_content_and_reports_each_scene(master, samples, tmp_path, form):
+    require_library(form)
+    meter = Metered()
+    split = Split(shares=(0.5, 0.25, 0.25), seed=SEED)
+    options = Options(format=form, split=split)
+    record = export(master, tmp_path / form, options, progress=meter)
+    assert meter.counts == [("pictures", k + 1, len(samples)) for k in range(len(samples))]
+    assert read_record(tmp_path / form) == record
+    assert record.splits == split.assign(samples)
+    assert record.fingerprint == json.loads((master / "graycast.json").read_text())["fingerprint"]
+
+
+@pytest.mark.parametrize(
+    "form, module, extra",
+    [("parquet", "pyarrow", "parquet"), ("ros2bag", "rosbags", "ros"), ("mcap", "rosbags", "ros"),
+     ("rerun", "rerun", "rerun")],
+)  # fmt: skip
+def test_the_error_for_a_missing_library_names_its_extra(
+    master, tmp_path, monkeypatch, form, module, extra
+):
+    for name in [name for name in sys.modules if name.split(".")[0] == module]:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, module, None)
+    writer = f"graycast.dataset.export.{FORMATS[form].writer.partition('.')[0]}"
+    monkeypatch.delitem(sys.modules, writer, raising=False)
+    with pytest.raises(
+        GraycastError, match=rf"is not installed: run pip install 'graycast\[{extra}"
+    ):
+        export(master, tmp_path / "out", Options(format=form))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +67,9 @@ def truncated(master, tmp_path_factory):
     return copy
 
 
-@pytest.mark.parametrize("form", list(FORMATS))
+@pytest.mark.parametrize("form", EACH_FORMAT)
 def test_a_truncated_picture_is_named_and_the_partial_export_is_removed(truncated, tmp_path, form):
-    if form == "parquet":
-        pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
+    require_library(form)
     with pytest.raises(DatasetError, match=r"000003: rgb/000000.png is cut off or damaged"):
         export(truncated, tmp_path / "out", Options(format=form))
     assert list(tmp_path.iterdir()) == []
@@ -91,6 +106,8 @@ def test_an_option_of_another_format_is_refused():
         Options(format="parquet", polygons=True)
     with pytest.raises(GraycastError, match="depth is 'both': choose one of perfect, scanner"):
         Options(format="bop-webdataset", depth="both")
+    with pytest.raises(GraycastError, match="mcap has no option link: remove it"):
+        Options(format="mcap", link=True)
     with pytest.raises(GraycastError, match="format is 'voc': choose one of coco"):
         Options(format="voc")
     for former in ("bop-imagewise", "webdataset"):

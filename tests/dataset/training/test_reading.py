@@ -154,7 +154,7 @@ def test_a_truncated_file_is_reported(exported, form, path):
 
 
 def test_clouds_and_other_folders_are_refused_as_examples(exported, tmp_path, master):
-    with pytest.raises(DatasetError, match="holds points but no labels"):
+    with pytest.raises(DatasetError, match="is not for training"):
         open_examples(exported("clouds"))
     with pytest.raises(DatasetError, match="is not a Graycast dataset"):
         open_examples(tmp_path)

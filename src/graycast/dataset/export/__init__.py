@@ -1,4 +1,4 @@
-"""Export finished datasets to COCO, YOLO, BOP shards, WebDataset, Parquet and point clouds."""
+"""Export finished datasets to training formats, point clouds, ROS 2 bags, rerun and pose demos."""
 
 from .formats import export
 from .options import FORMATS, Options

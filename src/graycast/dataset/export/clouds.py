@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 from ...base.ply import cloud_bytes
 from ...rig.optics import optics_of, points
@@ -25,12 +25,10 @@ def write_split(
     (folder / split).mkdir()
     form = {"ply": cloud_bytes, "pcd": pcd_bytes}[settled(options.cloud)]
     for scene in scenes:
-        color = _color(scene, options)
+        color = color_image(scene, options)
         for depth in options.depths:
             depth_m = scene.depth_m(depth)
-            view = scene.view()
-            camera = optics_of(view.cam_K, scene.size_px, view.distortion)
-            point_m = points(camera, depth_m)
+            point_m = point_image(scene, depth_m)
             name = f"{scene.image_id:06d}_{_NAMES[depth]}.{options.cloud}"
             keep = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
             own_color = None if color is None else color[keep]
@@ -57,9 +55,7 @@ def pcd_bytes(
     columns = [point_m.astype("<f4")]
     names = ["x", "y", "z"]
     if color is not None:
-        wide = color.astype(np.uint32)
-        packed = (wide[:, 0] << 16) | (wide[:, 1] << 8) | wide[:, 2]
-        columns.append(packed.astype("<u4").view("<f4")[:, None])
+        columns.append(packed_color(color)[:, None])
         names.append("rgb")
     for name, column in more.items():
         columns.append(column.astype("<f4")[:, None])
@@ -82,7 +78,23 @@ def pcd_bytes(
     return ("\n".join(head) + "\n").encode("ascii") + body
 
 
-def _color(scene: StoredScene, options: Options) -> UInt8[np.ndarray, "h w 3"] | None:
+def packed_color(color: UInt8[np.ndarray, "*n 3"]) -> Float32[np.ndarray, "*n"]:
+    """Return each colour as the single-precision number with the bits 0x00RRGGBB, as PCL does."""
+    wide = color.astype(np.uint32)
+    packed = (wide[..., 0] << 16) | (wide[..., 1] << 8) | wide[..., 2]
+    return packed.astype("<u4").view("<f4")
+
+
+def point_image(
+    scene: StoredScene, depth_m: Float32[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w 3"]:
+    """Return the point [m] of each pixel in the camera frame; NaN where depth is NaN."""
+    view = scene.view()
+    return points(optics_of(view.cam_K, scene.size_px, view.distortion), depth_m)
+
+
+def color_image(scene: StoredScene, options: Options) -> UInt8[np.ndarray, "h w 3"] | None:
+    """Return the exported picture in colour; None if there is none. Gray is in all channels."""
     match options.image:
         case "rgb":
             return scene.rgb()

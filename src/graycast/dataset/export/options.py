@@ -10,10 +10,9 @@ from .split import Split
 
 Value = TypeVar("Value")
 
-_ONE_DEPTH = ("perfect", "scanner", "none")
 _CHOICES = {
     "image": ("rgb", "gray"),
-    "depth": (*_ONE_DEPTH[:2], "both", "none"),
+    "depth": ("perfect", "scanner", "both", "none"),
     "labels": ("segments", "boxes"),
     "cloud": ("ply", "pcd"),
     "pixel_origin": ("centre", "corner"),
@@ -27,12 +26,15 @@ class Format:
     `writer` names a module of this folder and its function that writes one set of the split. The
     module's function `write_rest`, if there is one, writes the files of the dataset as a whole.
     `reader` names a module of `dataset/training` and its function that opens one set's examples;
-    None for a format without labels. `options` are the format's options and their defaults.
+    None for a format that programs do not train from. `options` are the format's options and their
+    defaults, `depths` the allowed depths, and `needs` what a dataset must contain.
     """
 
     writer: str
     reader: str | None
     options: Mapping[str, Any]
+    depths: tuple[str, ...] = _CHOICES["depth"]
+    needs: tuple[str, ...] = ()
 
 
 FORMATS: Mapping[str, Format] = {
@@ -41,19 +43,22 @@ FORMATS: Mapping[str, Format] = {
         reader="picture_folders.open_coco",
         options={
             "image": "rgb", "depth": "none", "polygons": False, "link": False, "min_visibility": 0.0
-        }
+        },
+        needs=("masks", "pictures")
     ),
     "yolo": Format(
         writer="yolo.write_split",
         reader="picture_folders.open_yolo",
-        options={"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0}
+        options={"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0},
+        needs=("masks", "pictures")
     ),
     "bop-webdataset": Format(
         writer="bop_shards.write_split",
         reader="shard_examples.open_bop_shards",
         options={
             "image": "rgb", "depth": "perfect", "shard_scenes": 1000, "pixel_origin": "centre"
-        }
+        },
+        depths=("perfect", "scanner", "none")
     ),
     "parquet": Format(
         writer="parquet.write_split",
@@ -64,6 +69,22 @@ FORMATS: Mapping[str, Format] = {
         writer="clouds.write_split",
         reader=None,
         options={"image": "rgb", "depth": "both", "cloud": "ply", "organised": False}
+    ),
+    "ros2bag": Format(
+        writer="ros_bag.write_sqlite3", reader=None, options={"image": "rgb", "depth": "both"}
+    ),
+    "mcap": Format(
+        writer="ros_bag.write_mcap", reader=None, options={"image": "rgb", "depth": "both"}
+    ),
+    "rerun": Format(
+        writer="rerun_log.write_split", reader=None, options={"image": "rgb", "depth": "both"}
+    ),
+    "foundationpose": Format(
+        writer="pose_demos.write_split",
+        reader=None,
+        options={"image": "rgb", "depth": "scanner"},
+        depths=("perfect", "scanner"),
+        needs=("masks", "pictures", "depth")
     )
 }  # fmt: skip
 _FORMER = ("bop-imagewise", "webdataset")
@@ -126,8 +147,8 @@ class Options:
                     f"{', '.join(FORMATS[self.format].options)}"
                 )
         for name, allowed in _CHOICES.items():
-            if name == "depth" and self.format == "bop-webdataset":
-                allowed = _ONE_DEPTH
+            if name == "depth":
+                allowed = FORMATS[self.format].depths
             if (value := getattr(self, name)) not in (None, *allowed):
                 raise GraycastError(f"{name} is {value!r}: choose one of {', '.join(allowed)}")
         if self.shard_scenes is not None and self.shard_scenes < 1:
@@ -161,12 +182,13 @@ class Options:
             self._refuse("depth", settings["depth"], stored)
             known = {"depth": "perfect", "depth_sl": "scanner"}
             settings["depth"] = next((known[n] for n in known if n in holds), "none")
-        if self.format in ("coco", "yolo"):
-            for what, there in (("masks", "masks" in holds), ("pictures", settings["image"])):
-                if not there:
-                    raise GraycastError(
-                        f"{stored.folder}: has no {what}, which the format {self.format} needs"
-                    )
+        depth = settings.get("depth", "none") != "none"
+        there = {"masks": "masks" in holds, "pictures": settings["image"], "depth": depth}
+        for what in FORMATS[self.format].needs:
+            if not there[what]:
+                raise GraycastError(
+                    f"{stored.folder}: has no {what}, which the format {self.format} needs"
+                )
         return replace(self, **settings)
 
     def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:

@@ -196,8 +196,8 @@ def _reader(name: str) -> Callable[..., ReadOne]:
     reader = FORMATS[name].reader
     if reader is None:
         raise DatasetError(
-            f"an export as {name} holds points but no labels: train from the dataset or from "
-            "another export"
+            f"an export as {name} is not for training: train from the dataset or from another "
+            "export"
         )
     module, _, function = reader.partition(".")
     return getattr(import_module(f".{module}", __package__), function)

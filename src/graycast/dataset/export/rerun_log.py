@@ -1,0 +1,116 @@
+"""Export to recordings of the viewer rerun: `rerun SPLIT.rrd` shows pictures, clouds and parts.
+
+Coordinates are in metres. `world/SCANNER` is the optical frame of a scanner, or of the scanner
+`scanner` if it has no name: x right, y down, z forward. The timeline `picture` has the numbers of
+the pictures. Rerun gives each row a random id, so recordings of equal datasets differ in bytes.
+Rerun's camera has no lens distortion: `points` are exact, but depth shown in 3D is not corrected.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from ...base.errors import GraycastError
+from ..read.stored import StoredDataset, StoredScene
+from ..write.models import read_models
+from .clouds import color_image, point_image
+from .options import Options
+from .stored_truth import camera_pose, instance_numbers, part_poses
+
+try:
+    import rerun as rr
+except ImportError as error:
+    raise GraycastError(
+        "a recording of rerun needs rerun-sdk, which is not installed: run pip install "
+        "'graycast[rerun]'"
+    ) from error
+
+
+def write_split(
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+) -> None:
+    """Write `SPLIT.rrd`; the models of the parts are in it once, and their poses per picture."""
+    recording = rr.RecordingStream(
+        "graycast", recording_id=f"{stored.folder.name}-{split}", send_properties=False
+    )
+    recording.set_log_time_enabled(False)
+    recording.set_log_tick_enabled(False)
+    try:
+        recording.save(folder / f"{split}.rrd")
+        recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        _log_models(recording, stored)
+        for scene in scenes:
+            recording.set_time("picture", sequence=scene.image_id)
+            _log_scanner(recording, scene, options)
+            _log_truth(recording, scene, options)
+    finally:
+        recording.disconnect()
+
+
+def _root(sensor: str) -> str:
+    return f"world/{sensor or 'scanner'}"
+
+
+def _log_models(recording: "rr.RecordingStream", stored: StoredDataset) -> None:
+    """Log each model under each scanner, because the poses are in the scanners' frames."""
+    if "poses" not in stored.holds:
+        return
+    for obj_id, model in read_models(stored.folder).items():
+        # Each face has corners of its own, so that edges look sharp.
+        mesh = rr.Mesh3D(
+            vertex_positions=model.mesh.vertices_m[model.mesh.faces].reshape(-1, 3),
+            vertex_normals=np.repeat(model.mesh.face_normal, 3, axis=0),
+        )
+        for sensor in stored.sizes_px:
+            recording.log(f"{_root(sensor)}/truth/parts/{obj_id}", mesh, static=True)
+
+
+def _log_scanner(recording: "rr.RecordingStream", scene: StoredScene, options: Options) -> None:
+    root, view, (height_px, width_px) = _root(scene.sensor), scene.view(), scene.size_px
+    T_world_cam = camera_pose(scene)
+    if T_world_cam is not None:
+        pose = rr.Transform3D(translation=T_world_cam[:3, 3], mat3x3=T_world_cam[:3, :3])
+        recording.log(root, pose)
+    lens = rr.Pinhole(
+        image_from_camera=np.reshape(view.cam_K, (3, 3)),
+        resolution=[width_px, height_px],
+        camera_xyz=rr.ViewCoordinates.RDF,
+    )
+    recording.log(f"{root}/camera", lens)
+    if options.picture is not None:
+        picture = scene.png(options.picture).read_bytes()
+        encoded = rr.EncodedImage(contents=picture, media_type="image/png")
+        recording.log(f"{root}/camera/image", encoded)
+    if options.depths:  # If there are both depths, the scanner's is the second.
+        depth_m, color = scene.depth_m(options.depths[-1]), color_image(scene, options)
+        _log_depth(recording, f"{root}/camera/depth", scene, options.depths[-1])
+        keep = depth_m > 0
+        point_m = point_image(scene, depth_m)[keep]
+        cloud = rr.Points3D(point_m, colors=None if color is None else color[keep])
+        recording.log(f"{root}/points", cloud)
+
+
+def _log_depth(recording: "rr.RecordingStream", path: str, scene: StoredScene, depth: str) -> None:
+    """Log a depth picture as it is stored, in steps; `meter` is the number of steps per metre."""
+    steps_per_m = 1000 / scene.view().depth_scale
+    content = scene.png(depth).read_bytes()
+    encoded = rr.EncodedDepthImage(blob=content, media_type="image/png", meter=steps_per_m)
+    recording.log(path, encoded)
+
+
+def _log_truth(recording: "rr.RecordingStream", scene: StoredScene, options: Options) -> None:
+    root = _root(scene.sensor)
+    if len(options.depths) == 2:
+        _log_depth(recording, f"{root}/camera/truth/depth", scene, options.depths[0])
+    if "masks" in scene.holds:
+        numbers = rr.SegmentationImage(instance_numbers(scene))
+        recording.log(f"{root}/camera/truth/instances", numbers)
+    if "poses" in scene.holds:
+        T_cam_part, part_id = part_poses(scene), np.array(scene.obj_ids())
+        for obj_id in scene.categories:
+            T = T_cam_part[part_id == obj_id]
+            # Rerun draws a mesh without poses at the origin, so an absent part gets size zero.
+            T = T if len(T) else np.zeros((1, 4, 4))
+            poses = rr.InstancePoses3D(translations=T[:, :3, 3], mat3x3=T[:, :3, :3])
+            recording.log(f"{root}/truth/parts/{obj_id}", poses)

@@ -1,0 +1,209 @@
+"""Export to ROS 2 bags, as SQLite or MCAP files, with the topics of a scanner's driver.
+
+The topics of a scanner are in the namespace of its name, or in `/scanner` if it has none. All
+coordinates are in metres in its optical frame: x right, y down, z forward. What no scanner knows
+is in `/truth`. A picture has the next whole second as its time, so equal datasets give equal bags.
+
+Source: the topics of github.com/zivid/zivid-ros and REP 118 (depth images in metres, NaN).
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...base.errors import GraycastError
+from ..read.stored import StoredDataset, StoredScene
+from .clouds import color_image, packed_color, point_image
+from .options import Options
+from .stored_truth import camera_pose, instance_numbers, part_poses
+
+try:
+    from rosbags.interfaces import (
+        Connection,
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+except ImportError as error:
+    raise GraycastError(
+        "a ROS 2 bag needs rosbags, which is not installed: run pip install 'graycast[ros]'"
+    ) from error
+
+FIRST_S = 946_684_800  # The first picture is of 2000-01-01 00:00 UTC; time 0 means "none" in ROS.
+_VERSION = 8  # ROS 2 from Humble on reads this version of `metadata.yaml`.
+_TF = "/tf_static"
+_FLOAT32 = 7  # sensor_msgs/PointField
+
+
+def write_sqlite3(
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+) -> None:
+    """Write the bag `SPLIT`, with `SPLIT.db3` and `metadata.yaml`."""
+    _fill(Writer(folder / split, version=_VERSION), scenes, options)
+
+
+def write_mcap(
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+) -> None:
+    """Write the bag `SPLIT`, with `SPLIT.mcap` in compressed chunks and `metadata.yaml`."""
+    writer = Writer(folder / split, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    _fill(writer, scenes, options)
+
+
+def _fill(writer: "Writer", scenes: Iterable[StoredScene], options: Options) -> None:
+    with writer:
+        bag = _Bag(writer=writer)
+        for number, scene in enumerate(scenes):
+            bag.add_pose(scene, FIRST_S + number)
+            for topic, message in bag.messages(scene, options, FIRST_S + number):
+                bag.write(topic, message, (FIRST_S + number) * 10**9)
+
+
+def _quality(*, latched: bool) -> "Qos":
+    """Return a driver's quality of service; a latched topic gives late listeners its last value."""
+    durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
+    unset = QosTime(0, 0)
+    return Qos(
+        QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, durability, unset, unset,
+        QosLiveliness.AUTOMATIC, unset, False,
+    )  # fmt: skip
+
+
+@dataclass(slots=True, kw_only=True)
+class _Bag:
+    """An open bag, its topics, and the last pose of each scanner."""
+
+    writer: "Writer"
+    types: Any = field(default_factory=lambda: get_typestore(Stores.ROS2_HUMBLE))
+    topics: dict[str, "Connection"] = field(default_factory=dict)
+    poses: dict[str, bytes] = field(default_factory=dict)
+
+    def make(self, name: str, *values: Any, **named: Any) -> Any:
+        """Return a message, such as `std_msgs/Header`."""
+        return self.types.types[name.replace("/", "/msg/")](*values, **named)
+
+    def write(self, topic: str, message: Any, time_ns: int) -> None:
+        kind = message.__msgtype__
+        if topic not in self.topics:
+            quality = [_quality(latched=topic == _TF)]
+            self.topics[topic] = self.writer.add_connection(
+                topic, kind, typestore=self.types, offered_qos_profiles=quality
+            )
+        self.writer.write(self.topics[topic], time_ns, self.types.serialize_cdr(message, kind))
+
+    def header(self, frame: str, time_s: int) -> Any:
+        return self.make("std_msgs/Header", self.make("builtin_interfaces/Time", time_s, 0), frame)
+
+    def add_pose(self, scene: StoredScene, time_s: int) -> None:
+        """Write a camera's pose half a second before its picture, unless it has this pose yet."""
+        T_world_cam = camera_pose(scene)
+        if T_world_cam is None or self.poses.get(scene.sensor) == T_world_cam.tobytes():
+            return
+        self.poses[scene.sensor] = T_world_cam.tobytes()
+        transform = self.make(
+            "geometry_msgs/TransformStamped",
+            self.header("world", time_s),
+            _frame(scene),
+            self.make("geometry_msgs/Transform", *self.placement("Vector3", T_world_cam)),
+        )
+        message = self.make("tf2_msgs/TFMessage", [transform])
+        self.write(_TF, message, time_s * 10**9 - 5 * 10**8)
+
+    def placement(self, kind: str, T: Float[np.ndarray, "4 4"]) -> tuple[Any, Any]:
+        """Return a translation of some kind and a quaternion."""
+        turn = Rotation.from_matrix(T[:3, :3]).as_quat()
+        return (
+            self.make(f"geometry_msgs/{kind}", *T[:3, 3].tolist()),
+            self.make("geometry_msgs/Quaternion", *turn.tolist()),
+        )
+
+    def messages(
+        self, scene: StoredScene, options: Options, time_s: int
+    ) -> Iterator[tuple[str, Any]]:
+        """Yield the topics and messages of a picture, as far as the dataset has their data."""
+        name, header = _namespace(scene), self.header(_frame(scene), time_s)
+        info, color = self.camera_info(scene, header), color_image(scene, options)
+        if color is not None:
+            gray = options.image == "gray"
+            picture, encoding = (color[..., 0], "mono8") if gray else (color, "rgb8")
+            yield f"{name}/color/camera_info", info
+            yield f"{name}/color/image_raw", self.image(picture, encoding, header)
+        if options.depths:  # If there are both depths, the scanner's is the second.
+            depth_m = scene.depth_m(options.depths[-1])
+            yield f"{name}/depth/camera_info", info
+            yield f"{name}/depth/image_raw", self.image(depth_m, "32FC1", header)
+            p_wrong = scene.p_wrong() if options.depths[-1] == "depth_sl" else None
+            fields = {"xyz": point_image(scene, depth_m)}
+            fields |= {} if color is None else {"rgb": packed_color(color)}
+            fields |= {} if p_wrong is None else {"p_wrong": p_wrong}
+            yield f"{name}/points", self.cloud(fields, header)
+        if len(options.depths) == 2:
+            depth_m = scene.depth_m(options.depths[0])
+            yield f"/truth{name}/depth/image_raw", self.image(depth_m, "32FC1", header)
+        yield from self.truth(scene, header)
+
+    def truth(self, scene: StoredScene, header: Any) -> Iterator[tuple[str, Any]]:
+        name = f"/truth{_namespace(scene)}"
+        if "masks" in scene.holds:
+            yield f"{name}/instances", self.image(instance_numbers(scene), "16UC1", header)
+            layout = self.make("std_msgs/MultiArrayLayout", [], 0)
+            obj_ids = np.array(scene.obj_ids(), dtype=np.int32)
+            yield f"{name}/obj_ids", self.make("std_msgs/Int32MultiArray", layout, obj_ids)
+        if "poses" in scene.holds:
+            poses = [self.placement("Point", T) for T in part_poses(scene)]
+            each = [self.make("geometry_msgs/Pose", *pose) for pose in poses]
+            yield f"{name}/poses", self.make("geometry_msgs/PoseArray", header, each)
+
+    def image(self, image: np.ndarray, encoding: str, header: Any) -> Any:
+        height_px, width_px = image.shape[:2]
+        data = np.ascontiguousarray(image).view(np.uint8).ravel()
+        step = len(data) // height_px
+        return self.make("sensor_msgs/Image", header, height_px, width_px, encoding, 0, step, data)
+
+    def camera_info(self, scene: StoredScene, header: Any) -> Any:
+        view, (height_px, width_px) = scene.view(), scene.size_px
+        K = np.array(view.cam_K, dtype=np.float64)
+        return self.make(
+            "sensor_msgs/CameraInfo", header, height_px, width_px, "plumb_bob",
+            d=np.array(view.distortion, dtype=np.float64),
+            k=K,
+            r=np.eye(3).ravel(),
+            p=np.hstack([K.reshape(3, 3), np.zeros((3, 1))]).ravel(),
+            binning_x=0,
+            binning_y=0,
+            roi=self.make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False),
+        )  # fmt: skip
+
+    def cloud(self, fields: dict[str, np.ndarray], header: Any) -> Any:
+        """Return an organised cloud: a point for each pixel, with NaN where depth is missing."""
+        height_px, width_px = fields["xyz"].shape[:2]
+        names = ["x", "y", "z", *list(fields)[1:]]
+        columns = [np.atleast_3d(column).astype("<f4") for column in fields.values()]
+        data = np.concatenate(columns, axis=-1)
+        point_step = 4 * len(names)
+        return self.make(
+            "sensor_msgs/PointCloud2", header, height_px, width_px,
+            [self.make("sensor_msgs/PointField", name, 4 * i, _FLOAT32, 1)
+             for i, name in enumerate(names)],
+            False, point_step, point_step * width_px, data.view(np.uint8).ravel(), False,
+        )  # fmt: skip
+
+
+def _namespace(scene: StoredScene) -> str:
+    """Return the scanner's namespace; ROS does not allow hyphens."""
+    return "/" + (scene.sensor.replace("-", "_") or "scanner")
+
+
+def _frame(scene: StoredScene) -> str:
+    return f"{_namespace(scene)[1:]}_optical_frame"

@@ -1,0 +1,31 @@
+"""Poses and masks of a stored image as arrays, for the exports of what a camera would publish."""
+
+import numpy as np
+from jaxtyping import Float, UInt16
+from pycocotools import mask as coco_mask
+
+from ...base.frames import inverse
+from ..read.example import pose_m
+from ..read.stored import StoredScene
+
+
+def camera_pose(scene: StoredScene) -> Float[np.ndarray, "4 4"] | None:
+    """Return T_world_cam [m] of the optical frame; None for real pictures."""
+    if scene.real:
+        return None
+    view = scene.view()
+    return inverse(pose_m(view.cam_R_w2c, view.cam_t_w2c))
+
+
+def part_poses(scene: StoredScene) -> Float[np.ndarray, "n 4 4"]:
+    """Return T_cam_part [m] of every instance, visible or hidden, of a simulated scene."""
+    poses = [pose_m(pose.cam_R_m2c, pose.cam_t_m2c) for pose in scene.poses()]
+    return np.stack(poses) if poses else np.empty((0, 4, 4))
+
+
+def instance_numbers(scene: StoredScene) -> UInt16[np.ndarray, "h w"]:
+    """Return k + 1 where instance k of `scene_gt.json` is visible, and 0 elsewhere."""
+    numbers = np.zeros(scene.size_px, dtype=np.uint16)
+    for label in scene.labels():
+        numbers[coco_mask.decode(label.segmentation) == 1] = label.instance + 1
+    return numbers

@@ -9,6 +9,7 @@ Run: .venv/bin/python examples/10_virtual_scanner.py
 
 import sys
 
+import cv2
 import numpy as np
 from scipy import ndimage
 
@@ -24,8 +25,9 @@ def segment(depth_m, points_world, inner_m) -> list:
     filled = np.nan_to_num(depth_m)
     smooth = ndimage.maximum_filter(filled, 3) - ndimage.minimum_filter(filled, 3) < STEP_M
     inside = (np.abs(points_world[..., :2]) < half_m).all(axis=-1)  # False for NaN
-    label, count = ndimage.label(inside & (points_world[..., 2] > FLOOR_M) & smooth)
-    masks = (label == k + 1 for k in range(count))
+    part = inside & smooth & (points_world[..., 2] > FLOOR_M)
+    count, label = cv2.connectedComponents(part.astype(np.uint8))
+    masks = (label == k for k in range(1, count))  # 0 is the rest of the picture.
     return [mask for mask in masks if mask.sum() >= LEAST_PX]
 
 
@@ -42,9 +44,10 @@ def main(count: int, samples: int) -> None:
     with gc.VirtualScanner(config, seed=1) as scanner:  # device: Camera().connect("192.168.1.10")
         scanner.set("exposure.auto", True)  # device: its own name of the same setting
         T_world_cam = scanner.T_world_cam  # your hand-eye calibration
-        lifted, misses = 0, 0
+        lifted, misses, seconds = 0, 0, 0.0
         while misses < 3:
             frame = scanner.trigger()  # device: camera.capture(), and its depth and intrinsics
+            seconds += frame.duration_s
             points_world = frame.points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
             masks = segment(frame.depth_m, points_world, config.bin.inner_m)
             if not masks:
@@ -58,7 +61,7 @@ def main(count: int, samples: int) -> None:
                 continue
             misses += 1
             scanner.bin.nudge()
-        print(f"{lifted} of {count} parts in {frame.time_s + frame.duration_s:.1f} s of scanning")
+        print(f"{lifted} of {count} parts in {seconds:.1f} s of scanning")
 
 
 if __name__ == "__main__":

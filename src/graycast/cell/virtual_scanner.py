@@ -7,8 +7,7 @@ read-out, and the exposure of the colour picture.
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -85,6 +84,10 @@ class FrameTruth:
     instance: arrays.IntArray_h_w
     depth_m: arrays.FloatArray_h_w
 
+    def __post_init__(self) -> None:
+        for array in (self.number, self.T_cam_part, self.instance, self.depth_m):
+            array.flags.writeable = False
+
 
 class VirtualScanner:
     """A scanner of a cell as a device: connect, change settings, trigger, receive frames.
@@ -155,16 +158,11 @@ class VirtualScanner:
             self._renderer.close()
         self._renderer = None
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "VirtualScanner":
         self.connect()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.disconnect()
 
     def _connected(self) -> Renderer:

@@ -34,6 +34,7 @@ ARGUMENTS = {
     "07_read_a_dataset.py": ["prisms"],
     "08_decode_own_pictures.py": ["pictures", "rig.yaml", "out/cloud.ply"],
     "09_own_detector.py": ["shapes/dataset", "run", "1"],
+    "10_virtual_scanner.py": ["4", "4"],
 }
 WALL_M = 0.7
 
@@ -169,3 +170,12 @@ def test_a_detector_of_another_library_is_trained_and_detects_boxes(tmp_path):
         assert done.stderr.splitlines()[-1].endswith("No module named 'rfdetr'")
     else:
         assert re.search(r"[1-9]\d* boxes: see run_boxes", done.stdout), done.stderr
+
+
+@pytest.mark.slow
+def test_a_program_without_the_truth_empties_the_bin_of_a_virtual_scanner(tmp_path):
+    """Every lift needs a pose within 5 mm of a part; four scans of 26 pictures take over 1 s."""
+    *lifts, end = run("10_virtual_scanner.py", tmp_path).splitlines()
+    assert len(lifts) == 4 and all("lifted a part" in line for line in lifts)
+    assert end.startswith("4 of 4 parts in ")
+    assert "truth()" not in (EXAMPLES / "10_virtual_scanner.py").read_text().split('"""', 2)[2]

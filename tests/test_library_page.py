@@ -39,7 +39,7 @@ def test_the_code_blocks_of_the_page_run_in_order(tmp_path, monkeypatch, capsys)
     """The blocks use the demo's files, and later blocks use names of earlier blocks."""
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
-    assert len(BLOCKS) == 5
+    assert len(BLOCKS) == 6
     names = {}
     for block in BLOCKS:
         exec(compile(block, "docs/how-to/python.md", "exec"), names)

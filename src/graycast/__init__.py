@@ -39,6 +39,7 @@ from .base.version import __version__
 
 if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to Python
     from .base.errors import GraycastError as GraycastError
+    from .base.errors import ScannerError as ScannerError
     from .camera.decode import CodeMap as CodeMap
     from .camera.decode import DecodeSpec as DecodeSpec
     from .camera.decode import DepthMap as DepthMap
@@ -79,6 +80,10 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .cell.simulate import make_images as make_images
     from .cell.simulate import make_scene as make_scene
     from .cell.views import ViewSection as ViewSection
+    from .cell.virtual_bin import VirtualBin as VirtualBin
+    from .cell.virtual_scanner import FrameTruth as FrameTruth
+    from .cell.virtual_scanner import ScannerFrame as ScannerFrame
+    from .cell.virtual_scanner import VirtualScanner as VirtualScanner
     from .dataset.check.checking import validate as validate
     from .dataset.export.split import Split as Split
     from .dataset.read.detections import Detections as Detections
@@ -138,7 +143,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
 _MODULE = {
     name: module
     for module, names in {
-        "base.errors": "GraycastError",
+        "base.errors": "GraycastError ScannerError",
         "rig.pair": "Rig place",
         "rig.pattern": "Code CodeSpec Frame",
         "world.drop": "DropLimits drop",
@@ -165,6 +170,8 @@ _MODULE = {
         "cell.resolve": "Cell load_cell open_cell_renderer",
         "cell.simulate": "Shot make_images make_scene",
         "cell.views": "ViewSection",
+        "cell.virtual_bin": "VirtualBin",
+        "cell.virtual_scanner": "FrameTruth ScannerFrame VirtualScanner",
         "score.evaluate": "Protocol Task evaluate",
         "real.material": "MaterialFit MaterialScan fit_material open_scan",
         "real.rescan.open_source": "open_source",

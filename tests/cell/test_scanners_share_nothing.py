@@ -11,7 +11,7 @@ from graycast.camera.faults import line_amplitude, places
 from graycast.camera.sensor import expose
 from graycast.cell.config import load_config
 from graycast.cell.resolve import eyes, resolve_cell
-from graycast.cell.simulate import _hung, cell_seeds, varied
+from graycast.cell.simulate import cell_seeds, images_of, varied
 
 PARTS = {"parts": [{"builtin": "metal_workpiece_1"}], "resolution": "small"}
 UNEVEN = {"sensor": {"prnu": 0.01, "dsnu_e": 20.0}}
@@ -125,9 +125,11 @@ def test_a_domain_moves_scanners_independently_except_for_mounted_scanners(tmp_p
     for scene_id in range(25):
         seeds = cell_seeds(cell, scene_id, seed=1)
         variation = varied(cell, scene_id, seeds)
-        T = [scene.T_world_cam for _, scene in _hung(cell, variation, seeds)]
+        T = [scene.T_world_cam for _, scene in images_of(cell, variation, seeds)]
         one = varied(alone, scene_id, seeds)
-        np.testing.assert_array_equal(T[:2], [s.T_world_cam for _, s in _hung(alone, one, seeds)])
+        np.testing.assert_array_equal(
+            T[:2], [s.T_world_cam for _, s in images_of(alone, one, seeds)]
+        )
         np.testing.assert_allclose(T[4], T[0] @ np.reshape(MOUNTED["T_first_cam"], (4, 4)))
         assert {k: v for k, v in variation.record.items() if k != "cameras"} == one.record
         moved.append([T[0][:3, 3], T[2][:3, 3]])

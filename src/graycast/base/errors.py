@@ -37,6 +37,10 @@ class DecodeError(GraycastError):
     """A stack's frames are missing, do not fit together, or do not fit the code."""
 
 
+class ScannerError(GraycastError):
+    """A virtual scanner cannot do this now: it is not connected, or its camera gets no light."""
+
+
 def one_line(error: Exception) -> str:
     """Return an error's message as one line, or the name of its class if it has no message."""
     return " ".join(str(error).split()) or type(error).__name__

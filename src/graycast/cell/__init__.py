@@ -11,6 +11,8 @@ Each imports only from those above it:
     resolve          a configuration with its files' contents, shared by all scenes
     metering         the region of a picture from which a scanner meters its exposure
     simulate         one scene, from its seeds (`base.streams`) to its sample
+    virtual_bin      a bin that lives on while its parts are lifted, shaken and replaced
+    virtual_scanner  a cell as a device, with the calls that makers' Python classes have
     remedies         changed settings that give the parts more depth, tried on a scene's light
     engine           workers that make scenes: this process, other processes, or a cluster
     generate         many scenes of a cell in the folder of a dataset (`dataset.write.store`), and

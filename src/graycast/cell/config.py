@@ -369,11 +369,20 @@ def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner],
 
 def _resolved(rig: str, sections: ScannerSections, resolution: str, folder: Path) -> Scanner:
     scanner = with_sections(named_scanner(rig, folder=folder, resolution=resolution), sections)
+    refuse_blind_code(scanner)
+    return scanner
+
+
+def refuse_blind_code(scanner: Scanner) -> None:
+    """Refuse a scanner whose code lacks the axis that is parallel to the baseline.
+
+    Raises:
+        ConfigError: the code cannot give depth with this rig.
+    """
     axis = triangulation_axis(scanner.rig)
     if axis not in scanner.code.axes:
         axes = ", ".join(scanner.code.axes)
         raise ConfigError(f"code.axes is {axes}: rig {scanner.rig.name} needs {axis} for depth")
-    return scanner
 
 
 def resolve_quality(config: Config) -> Quality:

@@ -5,22 +5,22 @@ A scene depends only on (configuration, dataset seed, scene id).
 
 import platform
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.public_value import public_value
 from ..base.streams import image_seeds, scene_seeds
 from ..base.version import __version__
-from ..camera.decode import CodeMap, reason_shares
+from ..camera.decode import CodeMap, DepthMap, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
-from ..camera.scanner import measure, take
+from ..camera.scanner import Scanner, measure, take
 from ..camera.sensor import Capture
 from ..dataset.files.json_text import plain
 from ..dataset.files.sample import Raw, Sample
@@ -29,7 +29,7 @@ from ..rendering import GroundTruth, Radiance, Renderer, Rendering
 from ..world.drop import PARTS_MAX, drop
 from ..world.parts import Part, full_count
 from ..world.scene import Layout, Scene, bin_of
-from .config import resolve_quality
+from .config import Config, resolve_quality
 from .domain import Variation, draw, moved_place, vary
 from .metering import metered_region
 from .resolve import Cell, Eye, eyes, free_scanners, patterns_of
@@ -57,6 +57,26 @@ class Shot:
             f"Shot(scene {manifest['scene_id']}, {len(self.sample.layout.part_index)} parts, "
             f"{width_px} x {height_px} px{decoded})"
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Filling:
+    """A filled bin: the seeds of the scene, the scene with its bin and lamps, and the layout."""
+
+    seeds: dict[str, int]
+    variation: Variation
+    layout: Layout
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneImage:
+    """One image of a layout: its light, its pictures and its depth."""
+
+    rendering: Rendering
+    capture: Capture
+    rgb: UInt8[np.ndarray, "h w 3"]
+    codes: CodeMap
+    depth: DepthMap
 
 
 def make_scene(
@@ -99,16 +119,9 @@ def make_images(
     """
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
-        seeds = cell_seeds(cell, scene_id, seed=seed)
-        variation = varied(cell, scene_id, seeds)
-        layout = drop(
-            variation.scene,
-            variation.counts,
-            seed=seeds["drop"],
-            limits=cell.config.drop,
-            progress=progress,
-        )
-    hung = _hung(cell, variation, seeds)
+        filling = fill_bin(cell, scene_id, seed=seed, progress=progress)
+    seeds, variation, layout = filling.seeds, filling.variation, filling.layout
+    hung = images_of(cell, variation, seeds)
     for number, (eye, scene) in enumerate(hung):
         if only is not None and number != only:
             continue
@@ -134,6 +147,26 @@ def make_images(
         timings = {}
 
 
+def fill_bin(
+    cell: Cell, scene_id: int, *, seed: int, progress: ProgressMeter = UNWATCHED
+) -> Filling:
+    """Drop the parts of a scene into the bin.
+
+    Raises:
+        DropError, ValueError: as in `make_scene`.
+    """
+    seeds = cell_seeds(cell, scene_id, seed=seed)
+    variation = varied(cell, scene_id, seeds)
+    layout = drop(
+        variation.scene,
+        variation.counts,
+        seed=seeds["drop"],
+        limits=cell.config.drop,
+        progress=progress,
+    )
+    return Filling(seeds=seeds, variation=variation, layout=layout)
+
+
 def _taken(
     cell: Cell,
     eye: Eye,
@@ -145,28 +178,14 @@ def _taken(
     progress: ProgressMeter,
 ) -> Shot:
     """Render, capture and decode one image; `manifest` and `timings` come from earlier steps."""
-    config, scanner, seeds = cell.config, eye.scanner, manifest["seeds"]
+    config, scanner = cell.config, eye.scanner
     if cell.own:
         manifest = manifest | {"own": own_record(cell)}
-    with _timed(timings, "render"):
-        quality = resolve_quality(config)
-        rendering = renderer.render(
-            scene, layout, patterns_of(scanner), quality=quality, seed=seeds["render"]
-        )
-    with _timed(timings, "sensor"):
-        metered = metered_region(scene, scanner.exposure)
-        capture = take(scanner, rendering.radiance, seed=seeds["noise"], metered=metered)
-    progress.stage("decoding the pictures")
-    with _timed(timings, "picture"):
-        noisy = config.render.denoise and quality.denoise == "none"
-        rgb = color_picture(
-            scanner,
-            rendering,
-            denoiser=renderer.denoiser if noisy else None,
-            seed=seeds["picture"],
-        )
-    with _timed(timings, "decode"):
-        codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
+    image = take_image(
+        config, scanner, scene, layout, renderer,
+        seeds=manifest["seeds"], timings=timings, progress=progress,
+    )  # fmt: skip
+    rendering, capture, codes, depth = image.rendering, image.capture, image.codes, image.depth
     manifest = manifest | {
         "backend": renderer.name,
         "device": renderer.device,
@@ -187,7 +206,7 @@ def _taken(
         scene=scene,
         layout=layout,
         truth=rendering.truth,
-        rgb=rgb,
+        rgb=image.rgb,
         gray=gray_picture(capture),
         scanner_depth=depth,
         modulation=codes.modulation,
@@ -201,6 +220,50 @@ def _taken(
         image=eye.image,
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def take_image(
+    config: Config,
+    scanner: Scanner,
+    scene: Scene,
+    layout: Layout,
+    renderer: Renderer,
+    *,
+    seeds: Mapping[str, int],
+    timings: dict[str, float],
+    progress: ProgressMeter = UNWATCHED,
+) -> SceneImage:
+    """Render a layout, take its pictures, and measure its depth.
+
+    Args:
+        config: the configuration, for the quality of the rendering.
+        scene: the scene with the scanner's rig and pose.
+        seeds: seeds by their names in `base.streams.OF_IMAGE`.
+        timings: the function adds the seconds of each stage to this dictionary.
+
+    Raises:
+        ValueError: the picture is too dark, or a value is out of range.
+    """
+    with _timed(timings, "render"):
+        quality = resolve_quality(config)
+        rendering = renderer.render(
+            scene, layout, patterns_of(scanner), quality=quality, seed=seeds["render"]
+        )
+    with _timed(timings, "sensor"):
+        metered = metered_region(scene, scanner.exposure)
+        capture = take(scanner, rendering.radiance, seed=seeds["noise"], metered=metered)
+    progress.stage("decoding the pictures")
+    with _timed(timings, "picture"):
+        noisy = config.render.denoise and quality.denoise == "none"
+        rgb = color_picture(
+            scanner,
+            rendering,
+            denoiser=renderer.denoiser if noisy else None,
+            seed=seeds["picture"],
+        )
+    with _timed(timings, "decode"):
+        codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
+    return SceneImage(rendering=rendering, capture=capture, rgb=rgb, codes=codes, depth=depth)
 
 
 def own_record(cell: Cell) -> dict[str, Any]:
@@ -258,7 +321,7 @@ def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
     return vary(cell.domain, scene, counts, record)
 
 
-def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple[Eye, Scene]]:
+def images_of(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple[Eye, Scene]]:
     """Return the scene for each of its eyes (images), whose poses the domain's values change.
 
     All images of a scanner move in the same way; a mounted scanner moves with the first scanner.

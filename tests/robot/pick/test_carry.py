@@ -136,19 +136,16 @@ def test_a_lift_removes_the_carried_part_and_parts_outside_the_bin(
     )  # fmt: skip
     outside = np.array(outside)
 
-    def parts_outside(box, bodies, T_world_part, index):
-        return outside if len(index) == 3 else np.zeros(len(index), bool)
-
-    def simulate(box, bodies, T_world_part, index, *, simulated_s):
-        return Layout(T_world_part=T_world_part, part_index=index)
+    def resettle(box, bodies, T_world_part, index, *, keep, simulated_s):
+        return Layout(T_world_part=T_world_part[keep], part_index=index[keep]), keep
 
     for name, instead in (
         ("touch", lambda *_, **__: PartGrip(part=1, hold=bare(Hold), T_world_tool=np.eye(4))),
         ("_pose_error", lambda *_: error),
         ("_path", lambda *_: np.eye(4)[None]),
         ("lift", lambda *_: lifted),
-        ("parts_outside", parts_outside),
-        ("simulate", simulate),
+        ("parts_outside", lambda *_: outside),
+        ("resettle", resettle),
     ):
         monkeypatch.setattr(carry, name, instead)
     pose = Aim(

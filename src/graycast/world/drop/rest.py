@@ -11,9 +11,10 @@ that rocking parts come to rest. Parts fall no faster than 1 m/s, as if lowered 
 """
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...base.frames import transform_points
 from ..scene import Bin, Layout
@@ -82,6 +83,33 @@ def simulate(
         outside=int(parts_outside(box, bodies, end, part_index).sum()),
         simulated_s=fall_s + rest_s,
     )
+
+
+def resettle(
+    box: Bin,
+    bodies: tuple[Body, ...],
+    T_world_part: Poses,
+    part_index: Kinds,
+    *,
+    keep: Bool[np.ndarray, " n"],
+    simulated_s: float,
+) -> tuple[Layout, Bool[np.ndarray, " n"]]:
+    """Let some parts of a disturbed heap come to rest; the other parts are no longer there.
+
+    Returns:
+        The layout of the parts in the bin, and a mask of these among all parts of the arguments.
+    """
+    poses, index = T_world_part[keep], part_index[keep]
+    if not len(index):
+        return Layout(T_world_part=poses, part_index=index), keep
+    rested = simulate(box, bodies, poses, index, simulated_s=simulated_s)
+    inside = ~parts_outside(box, bodies, rested.T_world_part, index)
+    layout = replace(
+        rested, T_world_part=rested.T_world_part[inside], part_index=index[inside], outside=0
+    )
+    left = keep.copy()
+    left[keep] = inside
+    return layout, left
 
 
 def _fall(

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from ....base.frames import inverse
 from ....score.evaluate.pose_errors import rotation_translation
-from ....world.drop import Lift, lift, parts_outside, simulate
+from ....world.drop import Lift, lift, parts_outside, resettle
 from ....world.drop.lift import STEP_S
 from ....world.scene import Layout
 from ..arm.robot import Joints
@@ -97,7 +97,15 @@ def carry_out(ready: Ready, world: BinState, choice: Choice) -> tuple[Carried, B
     carried = _carried(ready, met, lifted, outside, error)
     gone = outside.copy()
     gone[met.part] |= lifted.lost_s is None
-    after = _settled(ready, world, lifted.T_world_part, ~gone)
+    settled, left = resettle(
+        ready.cell.box,
+        ready.bodies,
+        lifted.T_world_part,
+        layout.part_index,
+        keep=~gone,
+        simulated_s=ready.cell.config.drop.simulated_s,
+    )
+    after = replace(world, layout=settled, numbers=world.numbers[left])
     return carried, after.gripped(aim.place_m, taken=carried.outcome in TAKEN)
 
 
@@ -140,22 +148,6 @@ def _path(
         count = max(round(way.seconds / STEP_S), 1)
         poses += [ready.tip(way.at(way.seconds * i / count)) @ T_tip_true for i in range(count)]
     return np.stack(poses)
-
-
-def _settled(
-    ready: Ready, world: BinState, T_world_part: Float[np.ndarray, "n 4 4"], keep: np.ndarray
-) -> BinState:
-    """Return the bin after the remaining parts have settled, without parts that fell out of it."""
-    box, limits = ready.cell.box, ready.cell.config.drop
-    numbers, index, poses = world.numbers[keep], world.layout.part_index[keep], T_world_part[keep]
-    if not len(numbers):
-        return replace(world, numbers=numbers, layout=Layout(T_world_part=poses, part_index=index))
-    rested = simulate(box, ready.bodies, poses, index, simulated_s=limits.simulated_s)
-    inside = ~parts_outside(box, ready.bodies, rested.T_world_part, index)
-    layout = replace(
-        rested, T_world_part=rested.T_world_part[inside], part_index=index[inside], outside=0
-    )
-    return replace(world, numbers=numbers[inside], layout=layout)
 
 
 def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] | None:

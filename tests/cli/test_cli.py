@@ -82,6 +82,8 @@ OPTIONS = {
     "rig write": "rig --resolution --out",
     "rig import": "calibration --out --unit --near --far --camera-size --projector-size",
     "rig calibrate": "stacks --board --out --near --far --radial-terms",
+    "rig hand-eye": "scans --poses --board --mount --rig --resolution --intrinsics --distortion "
+    "--scale --ray-length --out --simulate --guess --corner-noise --robot-noise",
     "rig patterns": "rig --resolution --out --codec --inverses",
     "rig decode": "stack --rig --resolution --average --out",
     "rig certify": "rig --resolution --out --seed --backend --device",

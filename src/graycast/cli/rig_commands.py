@@ -1,4 +1,4 @@
-"""Commands for rigs: list, show, write, import, calibrate, hand-eye, patterns, decode, certify, design."""
+"""Commands for rigs: list, show, write, import, calibrate, patterns, decode, certify, design."""
 
 import argparse
 import sys

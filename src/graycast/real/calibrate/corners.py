@@ -139,6 +139,8 @@ def _find_chessboard(byte, board):
     size = (board.squares_x - 1, board.squares_y - 1)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     is_there, position = cv2.findChessboardCornersSB(byte, size, flags=flags)
+    if not is_there:  # OpenCV's older detector finds small boards in noise or speckle.
+        is_there, position = cv2.findChessboardCorners(byte, size)
     if not is_there:
         return None
     return np.arange(board.corner_count), position.reshape(-1, 2).astype(np.float64)

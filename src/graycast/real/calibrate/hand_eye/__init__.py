@@ -13,12 +13,7 @@ hand_eye_file   the result as YAML and as text
 
 from .board_pose import scan_board
 from .calibrating import calibrate_hand_eye
-from .hand_eye_file import (
-    describe_hand_eye,
-    describe_prediction,
-    read_guess,
-    write_hand_eye,
-)
+from .hand_eye_file import describe_hand_eye, describe_prediction, read_guess, write_hand_eye
 from .plan import Noise, Plan, middle_of_views, predict
 from .robot_poses import CONVENTION, read_poses
 from .scans import read_scans

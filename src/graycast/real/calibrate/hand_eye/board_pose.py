@@ -18,6 +18,7 @@ DISC_VARIANCE = 4.0  # n times the variance of a quadratic in the middle of a di
 LEAST_PX, LEAST_SHARE = 1e-4, 1e-7  # These are the least standard deviations, of pixel and depth.
 OUTLIER = 5.0  # A corner or a depth beyond this many robust standard deviations is left out.
 ROUNDS = 3
+Masks = tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]  # used corners, used depths
 DIFFERENCE = 1e-6  # step of derivatives [rad] and [m]
 MOST_STEPS, TINY = 20, 1e-11  # Gauss-Newton steps, and the least step [rad] and [m].
 
@@ -107,11 +108,15 @@ def board_poses(scans: Sequence[BoardScan], camera: Optics) -> tuple[BoardPose, 
             _fit(scan, camera, T, sigma_px, factor, *use)
             for scan, T, use in zip(scans, T_cam_board, used, strict=True)
         ]
-        px, share = zip(*(_residuals(s, camera, T) for s, T in zip(scans, T_cam_board, strict=True)))
+        off = [_residuals(s, camera, T) for s, T in zip(scans, T_cam_board, strict=True)]
         if step == 0:
-            used = [_inliers(*residual, *use) for *residual, use in zip(px, share, used, strict=True)]
-        squares_px = sum(float(np.square(r[use[0]]).sum()) for r, use in zip(px, used, strict=True))
-        squares = sum(float(np.square(r[use[1]]).sum()) for r, use in zip(share, used, strict=True))
+            used = [_inliers(each, use) for each, use in zip(off, used, strict=True)]
+        squares_px, squares = (
+            sum(
+                float(np.square(each[k][use[k]]).sum()) for each, use in zip(off, used, strict=True)
+            )
+            for k in (0, 1)
+        )
         count_px = sum(2 * int(use[0].sum()) for use in used)
         count = sum(int(use[1].sum()) for use in used)
         rest = 1 - 6 * len(scans) / (count_px + count)  # share of degrees of freedom
@@ -140,7 +145,7 @@ def pose_covariance(
     T_cam_board: Float[np.ndarray, "4 4"],
     sigma_px: float,
     factor: float = 1.0,
-    used: tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]] | None = None,
+    used: Masks | None = None,
 ) -> Float[np.ndarray, "6 6"]:
     """Return the covariance of the board's motion; `used` has masks of corners and of depths."""
     used = used or (np.ones(len(scan.point_m), dtype=bool), np.isfinite(scan.depth_m))
@@ -192,8 +197,9 @@ def _residuals(scan: BoardScan, camera: Optics, T: Float[np.ndarray, "*k 4 4"]):
     return scan.camera_px - project(camera, point_m), depth
 
 
-def _inliers(px, share, corner: Bool[np.ndarray, " n"], depth: Bool[np.ndarray, " n"]):
+def _inliers(residual: tuple[np.ndarray, np.ndarray], used: Masks) -> Masks:
     """Return masks of the corners and of the depths that agree with the board's plane."""
+    (px, share), (corner, depth) = residual, used
     off_px = np.linalg.norm(px, axis=1)
     corner = corner & (off_px <= OUTLIER * max(float(np.median(off_px)), LEAST_PX))
     if depth.any():

@@ -94,9 +94,7 @@ class HandEye:
     left_out: Float[np.ndarray, "n 6"]
     scatter: tuple[float, float]
 
-    def point_covariance(
-        self, point_m: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "3 3"]:
+    def point_covariance(self, point_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
         """Return the covariance [m^2], by the fit's error, of a point that the camera measures."""
         G = np.hstack([np.cross(np.eye(3), -point_m), np.eye(3)])
         return G @ self.covariance[:6, :6] @ G.T
@@ -193,10 +191,10 @@ def refined(
     index = np.zeros(len(views.names), dtype=np.intp) if group is None else group
     for _ in range(MOST_STEPS):
         e, both = residuals(views, X, boards[index]), _jacobian(views, X, boards[index])
-        J = np.zeros((len(e), 6, 1 + len(boards), 6))
-        J[:, :, 0] = both[..., :6]
-        J[np.arange(len(e)), :, 1 + index] = both[..., 6:]
-        J = J.reshape(len(e), 6, -1)
+        by_pose = np.zeros((len(e), 6, 1 + len(boards), 6))
+        by_pose[:, :, 0] = both[..., :6]
+        by_pose[np.arange(len(e)), :, 1 + index] = both[..., 6:]
+        J = by_pose.reshape(len(e), 6, -1)
         JW = J.swapaxes(1, 2) @ weights
         information = (JW @ J).sum(axis=0)
         step = -np.linalg.solve(information, (JW @ e[..., None]).sum(axis=0)).reshape(-1, 6)

@@ -104,7 +104,7 @@ def _quick(views: Views):
 
 
 def _misfit_m(views: Views, X, Y) -> Float[np.ndarray, " n"]:
-    """Return the misfit [m] of each view: that of the tool, and its turn at the board's distance."""
+    """Return the misfit [m] of each view at the tool, with its turn at the board's distance."""
     e = residuals(views, X, Y)
     distance_m = np.median(np.linalg.norm(views.T_p_q[:, :3, 3], axis=1))
     return np.hypot(np.linalg.norm(e[:, 3:], axis=1), distance_m * np.linalg.norm(e[:, :3], axis=1))

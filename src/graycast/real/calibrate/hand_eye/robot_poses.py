@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -169,13 +168,14 @@ def _with_readings(names, place_m, turn, kind: str, path: Path) -> RobotPoses:
 def _read_matrices(path: Path) -> RobotPoses:
     content = parse_yaml(read_text(path), path)
     unit = content.get("unit", "m")
-    listed: Any = content.get("T_base_tool")
-    if listed is None or unit not in ("m", "mm") or not isinstance(listed, Mapping | list):
+    listed = content.get("T_base_tool")
+    if unit not in ("m", "mm") or not isinstance(listed, Mapping | list):
         raise ConfigError(f"{path}: has no poses under the key T_base_tool: give {CONVENTION}")
-    named = isinstance(listed, Mapping)
-    names = tuple(str(name) for name in listed) if named else None
+    names, values = None, list(listed)
+    if isinstance(listed, Mapping):
+        names, values = tuple(str(name) for name in listed), list(listed.values())
     poses = []
-    for i, value in enumerate(listed.values() if named else listed):
+    for i, value in enumerate(values):
         try:
             T = np.array(value, dtype=np.float64)
         except (TypeError, ValueError):

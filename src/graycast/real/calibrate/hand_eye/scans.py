@@ -88,11 +88,13 @@ def _pictures(folder: Path, scanner: Scanner | None, files: FileOptions) -> Iter
         files = replace(files, K=camera.K, distortion=camera.distortion)
     for shot in sorted(find_shots(folder), key=lambda shot: _by_number(shot.stem)):
         images = read_shot(shot, files)
-        if images.gray is None and images.rgb is None:
+        picture = images.gray
+        if picture is None and images.rgb is not None:
+            picture = images.rgb.mean(axis=2).astype(np.uint8)
+        if picture is None:
             raise CalibrationError(
                 f"{folder}: the scan {shot.stem} has no picture: add the folder rgb or gray"
             )
-        picture = images.rgb.mean(axis=2).astype(np.uint8) if images.gray is None else images.gray
         yield Scan(
             name=shot.stem,
             picture=picture,

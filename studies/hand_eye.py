@@ -22,14 +22,14 @@ from graycast.real.calibrate import parse_board
 from graycast.real.calibrate.hand_eye import predict
 from graycast.real.calibrate.hand_eye.board_pose import board_poses
 from graycast.real.calibrate.hand_eye.fitting import Mount, Views, fit_hand_eye, views_of
-from graycast.real.calibrate.hand_eye.plan import Noise, Plan, noisy_scans
+from graycast.real.calibrate.hand_eye.plan import CellNoise, Plan, noisy_scans
 
 Pose = Float[np.ndarray, "4 4"]
 Poses = Float[np.ndarray, "n 4 4"]
 SOLVERS = ("Tsai", "Park", "Horaud", "Andreff", "Daniilidis")
 BOARD = parse_board("chessboard:9x6:0.025")
 RIG = preset("like-phoxi-m").rig
-NOISE = Noise(corner_px=0.05, robot_rad=2e-4, robot_m=1e-4)
+NOISE = CellNoise(corner_px=0.05, robot_rad=2e-4, robot_m=1e-4)
 MOUNTS = ("in-hand", "to-hand")
 TURNS = {
     "in-hand": ((0.1, 0.2, 0.3), (0.05, 0.02, 0.1), (3.0, 0.1, 0.2), (0.6, 0.1, 0.2)),
@@ -54,7 +54,7 @@ def boards_in_view(n: int, rng: np.random.Generator) -> Poses:
 
 
 def cell(
-    n: int, mount: Mount, *, seed: int, noise: Noise = NOISE, T_cam_board: Poses | None = None
+    n: int, mount: Mount, *, seed: int, noise: CellNoise = NOISE, T_cam_board: Poses | None = None
 ) -> Plan:
     """Return a plan whose robot shows the board to the scanner in n poses."""
     if T_cam_board is None:
@@ -113,7 +113,7 @@ def main() -> None:
     rows = []
     for n in (5, 10, 20):
         for factor in (1, 4):
-            noise = Noise(
+            noise = CellNoise(
                 corner_px=NOISE.corner_px,
                 robot_rad=factor * NOISE.robot_rad,
                 robot_m=factor * NOISE.robot_m,

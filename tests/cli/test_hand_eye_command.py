@@ -109,12 +109,14 @@ def test_a_simulation_prints_the_predicted_error(capsys, tmp_path):
     guess = tmp_path / "guess.yaml"
     known = {"T_tool_cam": plan.T_robot_cam, "T_base_board": plan.T_other_board}
     guess.write_text(json.dumps({name: T.tolist() for name, T in known.items()}))
-    arguments = ("--simulate", "--poses", write_poses(tmp_path / "p.json", plan), "--board", TEXT,
+    poses = write_poses(tmp_path / "p.json", plan)
+    arguments = ("--simulate", 3, "--poses", poses, "--board", TEXT,
                  "--rig", "like-phoxi-m", "--guess", guess)  # fmt: skip
     errors = []
     for noise in ("0.0001,0.0002", "0.001,0.002"):
         code, printed, complaint = command(capsys, *arguments, "--robot-noise", noise)
         assert code == 0, complaint
+        assert "RMS error of 3 simulated calibrations" in printed
         errors.append(float(printed.split("with 8 poses: ")[1].split(" mm")[0]))
     assert 0.05 < errors[0] < 1
     assert errors[1] > 5 * errors[0]  # The noise of corners stays the same.
@@ -123,8 +125,8 @@ def test_a_simulation_prints_the_predicted_error(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "give either a folder of scans, or --simulate"),
-        (("--simulate",), "--simulate needs the scanner: give --rig"),
+        ((), "give either a folder of scans, or --simulate N"),
+        (("--simulate", 0), "--simulate needs the scanner: give --rig"),
         (("scans",), "--out is missing"),
         (("scans", "--out", "o.yaml"), "has no scans: give a folder"),
     ],

@@ -25,7 +25,8 @@ as a list in their order, and optionally unit: mm. Euler angles are refused, bec
 differs from robot to robot.
 
 The command refuses poses that fit far better after a usual mistake is undone, and names it. With
---simulate, it needs no scans: it states which error at the gripper the poses will give."""
+--simulate, it needs no scans: it predicts which error at the gripper the poses will give, in closed
+form, and states the errors of as many simulated calibrations; 0 gives the prediction alone."""
 
 robot_noise = reader(
     numbers,
@@ -34,7 +35,7 @@ robot_noise = reader(
 )
 
 
-def add_hand_eye(group, board_help: str) -> None:
+def add_hand_eye(group) -> None:
     command = add_command(
         group, "hand-eye", _hand_eye, "Calibrate a scanner on a robot from scans of a board.",
         example="scans --poses poses.csv --board chessboard:9x6:0.025 --out hand_eye.yaml",
@@ -44,14 +45,14 @@ def add_hand_eye(group, board_help: str) -> None:
     add_option(command, "scans", Path, scans, nargs="?")
     poses = "The CSV, YAML or JSON file with a pose T_base_tool for each scan."
     add_option(command, "--poses", Path, poses, required=True, metavar="FILE")
-    add_option(command, "--board", str, board_help, required=True, metavar="BOARD")
+    add_shared(command, "--board", required=True)
     mount = "Whether the robot carries the scanner (in-hand) or the board (to-hand)."
     add_option(command, "--mount", ("in-hand", "to-hand"), mount, "in-hand")
     add_shared(command, "--rig", usual="the rig that a stack file names")
     add_shared(command, "--resolution", usual="low")
     add_shared(command, "--intrinsics", "--distortion", "--scale", "--ray-length")
     add_out(command, "The YAML file to write. Only --simulate needs none.", required=False)
-    add_option(command, "--simulate", None, "Predict the error of these poses. It needs --rig.")
+    add_shared(command, "--simulate", usual="the scans are calibrated")
     add_option(
         command, "--guess", Path,
         "A YAML file with T_tool_cam (or T_base_cam) and T_base_board (or T_tool_board), such as "
@@ -63,19 +64,20 @@ def add_hand_eye(group, board_help: str) -> None:
     robot = "The standard deviations of the robot's position and rotation, for --simulate."
     add_option(command, "--robot-noise", robot_noise, robot, (1e-4, 2e-4),
                usual="0.0001,0.0002", metavar="METRES,RADIANS")  # fmt: skip
+    add_shared(command, "--seed", default=0)
 
 
 def _hand_eye(options: argparse.Namespace) -> None:
     from ..real.calibrate import parse_board
     from ..real.calibrate.hand_eye import read_poses
 
-    if options.simulate != (options.scans is None):
-        raise GraycastError("give either a folder of scans, or --simulate")
+    if (options.simulate is None) != (options.scans is not None):
+        raise GraycastError("give either a folder of scans, or --simulate N")
     if options.rig is None and options.resolution is not None:
         raise GraycastError("--resolution applies only to a preset: add --rig, or remove it")
     board, poses = parse_board(options.board), read_poses(options.poses)
     scanner = None if options.rig is None else resolve_rig_option(options)
-    if options.simulate:
+    if options.simulate is not None:
         _simulate(options, board, poses, scanner)
     else:
         _calibrate(options, board, poses, scanner)
@@ -135,12 +137,13 @@ def _simulate(options: argparse.Namespace, board, poses, scanner) -> None:
     import numpy as np
 
     from ..real.calibrate.hand_eye import (
-        Noise,
+        CellNoise,
         Plan,
         describe_prediction,
         middle_of_views,
         predict,
         read_guess,
+        simulated_errors_m,
     )
 
     if scanner is None:
@@ -166,6 +169,12 @@ def _simulate(options: argparse.Namespace, board, poses, scanner) -> None:
         T_base_tool=poses.T_base_tool,
         T_robot_cam=camera,
         T_other_board=at,
-        noise=Noise(corner_px=options.corner_noise, robot_rad=rad, robot_m=m),
+        noise=CellNoise(corner_px=options.corner_noise, robot_rad=rad, robot_m=m),
     )
-    print(describe_prediction(plan, predict(plan)))
+    prediction = predict(plan)
+    print(describe_prediction(plan, prediction))
+    if options.simulate:
+        rng = np.random.default_rng(options.seed)
+        error_m = simulated_errors_m(plan, prediction.point_m, options.simulate, rng)
+        rms_mm = 1e3 * np.sqrt(np.mean(np.square(error_m)))
+        print(f"RMS error of {len(error_m)} simulated calibrations: {rms_mm:.3f} mm")

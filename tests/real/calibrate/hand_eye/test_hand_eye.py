@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from graycast.base.frames import inverse
 from graycast.real.calibrate.board import CalibrationError
-from graycast.real.calibrate.hand_eye import calibrate_hand_eye, predict
+from graycast.real.calibrate.hand_eye import calibrate_hand_eye, predict, simulated_errors_m
 from graycast.real.calibrate.hand_eye.board_pose import board_poses
 from graycast.real.calibrate.hand_eye.fitting import fit_hand_eye, views_of
 from graycast.real.calibrate.hand_eye.motion import motion_between
@@ -53,7 +53,7 @@ def test_the_predicted_error_is_the_spread_of_200_calibrations(mount):
     """The prediction is a closed form; the spread has a standard error of about 4 %."""
     plan = cell(10, mount, seed=0)
     prediction = predict(plan)
-    errors = errors_m(plan, RUNS, np.random.default_rng(1), solvers=())
+    errors = simulated_errors_m(plan, prediction.point_m, RUNS, np.random.default_rng(1))
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(prediction.error_m, rel=0.15)
 
 

@@ -14,13 +14,13 @@ hand_eye_file   the result as YAML and as text
 from .board_pose import scan_board
 from .calibrating import calibrate_hand_eye
 from .hand_eye_file import describe_hand_eye, describe_prediction, read_guess, write_hand_eye
-from .plan import Noise, Plan, middle_of_views, predict
+from .plan import CellNoise, Plan, middle_of_views, predict, simulated_errors_m
 from .robot_poses import CONVENTION, read_poses
 from .scans import read_scans
 
 __all__ = [
     "CONVENTION",
-    "Noise",
+    "CellNoise",
     "Plan",
     "calibrate_hand_eye",
     "describe_hand_eye",
@@ -31,5 +31,6 @@ __all__ = [
     "read_poses",
     "read_scans",
     "scan_board",
+    "simulated_errors_m",
     "write_hand_eye",
 ]

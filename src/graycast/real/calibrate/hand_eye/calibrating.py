@@ -15,7 +15,7 @@ from .mistakes import MIN_VIEWS, board_turns, fit_turns, refuse_mistakes, refuse
 from .robot_poses import RobotPoses
 
 GOOD_VIEWS, GOOD_ERROR_M = 10, 1e-3
-BLURRED_PX = 5.0  # A board with so many times the median residual is left out.
+BLURRED_PX = 5.0  # A board whose residual exceeds this many medians is left out.
 OUTLIER, OUTLIER_M = 6.0, 1e-4  # An outlier exceeds this many medians and this misfit.
 MINORITY = 1 / 3  # A larger share of views is never left out, because it may be right.
 

@@ -14,7 +14,7 @@ from .fitting import USUAL, Views, first_guess, refined, residuals, weights_of
 
 MIN_VIEWS = 4
 LEAST_TURN_RAD = np.radians(3.0)  # A smaller RMS rotation about an axis determines nothing.
-BETTER = 3.0  # A mistake is named if the poses fit so many times better without it.
+BETTER = 3.0  # A mistake is named if the poses fit better without it by this factor.
 FLOOR_M = 1e-6  # Smaller misfits count as equal.
 MOVED = 2.0  # Two places of the board must reduce the RMS residual by this factor.
 CHANCE = 1e-4  # Probability that noise alone looks like a moved board.

@@ -10,14 +10,14 @@ from ....rig.optics import in_picture, project
 from ....rig.pair import Rig
 from ..board import Board, CalibrationError
 from ..corners import MIN_CORNERS
-from .board_pose import BoardPose, BoardScan, pose_covariance
-from .fitting import Mount, information_of, views_of
+from .board_pose import BoardPose, BoardScan, board_poses, pose_covariance
+from .fitting import Mount, fit_hand_eye, information_of, views_of
 from .mistakes import MIN_VIEWS, refuse_one_axis
 from .motion import moved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
+class CellNoise:
     """Standard deviations: corners and projector columns [px], robot poses [rad] and [m]."""
 
     corner_px: float
@@ -38,7 +38,7 @@ class Plan:
     T_base_tool: Float[np.ndarray, "n 4 4"]
     T_robot_cam: Float[np.ndarray, "4 4"]
     T_other_board: Float[np.ndarray, "4 4"]
-    noise: Noise
+    noise: CellNoise
 
     def T_cam_board(self) -> Float[np.ndarray, "n 4 4"]:
         T = inverse(self.T_base_tool) if self.mount == "in-hand" else self.T_base_tool
@@ -156,6 +156,19 @@ def noisy_scans(
         size = np.repeat([noise.robot_rad, noise.robot_m], 3)
         poses.append(moved(T, size * rng.normal(size=6)))
     return tuple(scans), np.array(poses)
+
+
+def simulated_errors_m(
+    plan: Plan, point_m: Float[np.ndarray, "3"], runs: int, rng: np.random.Generator
+) -> Float[np.ndarray, " runs"]:
+    """Return the errors of a measured point after calibrations from noisy scans."""
+    errors = []
+    for _ in range(runs):
+        scans, T_base_tool = noisy_scans(plan, rng)
+        fit = fit_hand_eye(views_of(board_poses(scans, plan.rig.camera), T_base_tool, plan.mount))
+        off = fit.T_robot_cam - plan.T_robot_cam
+        errors.append(np.linalg.norm(off[:3, :3] @ point_m + off[:3, 3]))
+    return np.array(errors)
 
 
 def middle_of_views(

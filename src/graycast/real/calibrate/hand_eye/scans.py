@@ -19,7 +19,7 @@ from ..board import CalibrationError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scan:
+class RobotScan:
     """A picture with its depth, if there is any, and the camera."""
 
     name: str
@@ -29,7 +29,7 @@ class Scan:
     camera: Optics
 
 
-def read_scans(folder: Path, scanner: Scanner | None, files: FileOptions) -> Iterator[Scan]:
+def read_scans(folder: Path, scanner: Scanner | None, files: FileOptions) -> Iterator[RobotScan]:
     """Yield the scans in a folder in the order of their names, where 10 comes after 9.
 
     A scan is a folder with a `stack.yaml`, or the files of one name in the folders `rgb` or `gray`
@@ -65,7 +65,7 @@ def _by_number(name: str) -> list[tuple[str, int]]:
     return [(text, int(word or 0)) for text, word in re.findall(r"(\D*)(\d*)", name)]
 
 
-def _stack(path: Path, name: str, scanner: Scanner | None) -> Scan:
+def _stack(path: Path, name: str, scanner: Scanner | None) -> RobotScan:
     if scanner is None:
         own = read_description(path).rig
         if own is None:
@@ -73,7 +73,7 @@ def _stack(path: Path, name: str, scanner: Scanner | None) -> Scan:
         scanner = load_scanner(path.parent / own)
     result = decode_stack(path, scanner.rig, filters=scanner.filters)
     assert result.depth is not None
-    return Scan(
+    return RobotScan(
         name=name,
         picture=result.picture.mean(axis=2).astype(np.uint8),
         depth_m=result.depth.depth_m.astype(np.float64),
@@ -82,7 +82,7 @@ def _stack(path: Path, name: str, scanner: Scanner | None) -> Scan:
     )
 
 
-def _pictures(folder: Path, scanner: Scanner | None, files: FileOptions) -> Iterator[Scan]:
+def _pictures(folder: Path, scanner: Scanner | None, files: FileOptions) -> Iterator[RobotScan]:
     if scanner is not None:
         camera = scanner.rig.camera
         files = replace(files, K=camera.K, distortion=camera.distortion)
@@ -95,7 +95,7 @@ def _pictures(folder: Path, scanner: Scanner | None, files: FileOptions) -> Iter
             raise CalibrationError(
                 f"{folder}: the scan {shot.stem} has no picture: add the folder rgb or gray"
             )
-        yield Scan(
+        yield RobotScan(
             name=shot.stem,
             picture=picture,
             depth_m=images.depth_m,

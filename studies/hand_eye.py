@@ -39,7 +39,7 @@ TURNS = {
 
 def pose(turn_rad: Sequence[float] | Float[np.ndarray, "3"], place_m: Sequence[float]) -> Pose:
     """Return a transform from a rotation vector and a position."""
-    return rigid(Rotation.from_rotvec(turn_rad).as_matrix(), np.array(place_m))
+    return rigid(Rotation.from_rotvec(turn_rad).as_matrix(), np.array(place_m, dtype=np.float64))
 
 
 def boards_in_view(n: int, rng: np.random.Generator) -> Poses:

@@ -107,8 +107,8 @@ def _calibrate(options: argparse.Namespace, board, poses, scanner) -> None:
         print(scan.name)
         names.append(scan.name)
         camera = scan.camera if camera is None else camera
-        if scan.camera != camera:
-            raise GraycastError(f"scan {scan.name} has another camera: give scans of one camera")
+        if scan.picture.shape != (camera.height_px, camera.width_px):
+            raise GraycastError(f"scan {scan.name} has another size: give scans of one camera")
         try:
             usable.append(
                 scan_board(scan.name, scan.picture, scan.depth_m, scan.sigma_m, camera, board)

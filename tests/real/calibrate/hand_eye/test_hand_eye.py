@@ -210,6 +210,14 @@ def test_squares_of_a_wrong_size_are_refused():
         calibrate(plan, wrong, stated(plan.T_base_tool))
 
 
+@pytest.mark.slow
+def test_squares_that_are_one_percent_too_large_cause_a_warning():
+    plan = cell(6, "in-hand", seed=0)
+    wrong = [replace(scan, point_m=1.01 * scan.point_m) for scan in plan.scans()]
+    warnings = calibrate(plan, wrong, stated(plan.T_base_tool)).warnings
+    assert any("depth differs by -0.99 %" in w for w in warnings)
+
+
 def test_poses_from_which_no_board_is_visible_are_refused_before_a_scan():
     plan = replace(cell(6, "in-hand", seed=0), T_other_board=pose((0, 0, 0), (5, 5, 5)))
     with pytest.raises(CalibrationError, match="sees the board from 0 of 6 poses"):

@@ -18,6 +18,7 @@ DISC_VARIANCE = 4.0  # n times the variance of a quadratic in the middle of a di
 LEAST_PX, LEAST_SHARE = 1e-4, 1e-7  # These are the least standard deviations, of pixel and depth.
 OUTLIER = 5.0  # A corner or a depth beyond this many robust standard deviations is left out.
 ROUNDS = 3
+MOST_RATIO = 0.1  # Depth and size of a board may differ by this share of its distance.
 Masks = tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]  # used corners, used depths
 DIFFERENCE = 1e-6  # step of derivatives [rad] and [m]
 MOST_STEPS, TINY = 20, 1e-11  # Gauss-Newton steps, and the least step [rad] and [m].
@@ -95,13 +96,9 @@ def board_poses(scans: Sequence[BoardScan], camera: Optics) -> tuple[BoardPose, 
     The standard deviation of corners, and the factor of the depths' own standard deviations, are
     those of the residuals of all scans together. Their neighbours' errors are not independent, so
     the stated standard deviations alone would be too small.
-
-    Raises:
-        CalibrationError: depth and the squares of the board disagree on the distance.
     """
     sigma_px, factor = 0.05, 1.0
     T_cam_board = [_start(scan, camera) for scan in scans]
-    _refuse_other_scale(scans, T_cam_board)
     used = [(np.ones(len(s.point_m), dtype=bool), np.isfinite(s.depth_m)) for s in scans]
     for step in range(ROUNDS):
         T_cam_board = [
@@ -175,19 +172,27 @@ def _start(scan: BoardScan, camera: Optics) -> Float[np.ndarray, "4 4"]:
     return min(poses, key=tilt_misfit)
 
 
-def _refuse_other_scale(scans: Sequence[BoardScan], T_cam_board) -> None:
-    """Refuse depth in another unit than the board's squares, or a wrong length of the squares."""
+def depth_ratio(scans: Sequence[BoardScan], camera: Optics) -> float:
+    """Return the board's depth over the distance by the size of its squares; NaN without depth.
+
+    Raises:
+        CalibrationError: the unit of depth or the length of the squares is wrong.
+    """
     ratio = [
-        np.nanmedian(scan.depth_m / transform_points(T, scan.point_m)[:, 2])
-        for scan, T in zip(scans, T_cam_board, strict=True)
+        np.nanmedian(scan.depth_m / transform_points(_start(scan, camera), scan.point_m)[:, 2])
+        for scan in scans
         if np.isfinite(scan.depth_m).sum() >= MIN_CORNERS
     ]
-    if ratio and not 0.9 < (typical := float(np.median(ratio))) < 1.1:
+    if not ratio:
+        return np.nan
+    typical = float(np.median(ratio))
+    if abs(np.log(typical)) > MOST_RATIO:
         raise CalibrationError(
             f"the depth of the board is {typical:.4g} times the distance at which its squares have "
             "their size in the picture: correct the side of a square in --board, the intrinsics or "
             "the unit of depth (--scale)"
         )
+    return typical
 
 
 def _residuals(scan: BoardScan, camera: Optics, T: Float[np.ndarray, "*k 4 4"]):

@@ -9,12 +9,12 @@ from jaxtyping import Float
 from ....base.frames import transform_points
 from ....rig.optics import Optics
 from ..board import Board, CalibrationError
-from .board_pose import BoardPose, BoardScan, board_poses
+from .board_pose import BoardPose, BoardScan, board_poses, depth_ratio
 from .fitting import HandEye, Mount, Views, fit_hand_eye, views_of
 from .mistakes import MIN_VIEWS, board_turns, fit_turns, refuse_mistakes, refuse_one_axis
 from .robot_poses import RobotPoses
 
-GOOD_VIEWS, GOOD_ERROR_M = 10, 1e-3
+GOOD_VIEWS, GOOD_ERROR_M, GOOD_RATIO = 10, 1e-3, 0.005
 BLURRED_PX = 5.0  # A board whose residual exceeds this many medians is left out.
 OUTLIER, OUTLIER_M = 6.0, 1e-4  # An outlier exceeds this many medians and this misfit.
 MINORITY = 1 / 3  # A larger share of views is never left out, because it may be right.
@@ -46,6 +46,7 @@ def calibrate_hand_eye(
             have one of the mistakes of `mistakes`.
     """
     _refuse_few(len(scans))
+    ratio = depth_ratio(scans, camera)
     boards = board_poses(scans, camera)
     views = views_of(boards, poses.T_base_tool, mount)
     rms_px = np.array([one.rms_px for one in boards])
@@ -73,7 +74,7 @@ def calibrate_hand_eye(
         point_m=point_m,
         error_m=error_m,
         left_out=left_out | more,
-        warnings=tuple(_warnings(fit, error_m)),
+        warnings=tuple(_warnings(fit, error_m, ratio)),
     )
 
 
@@ -104,10 +105,15 @@ def _fit_without_outliers(views: Views) -> tuple[HandEye, dict[str, str]]:
         views = views.only(np.arange(len(views.names)) != worst)
 
 
-def _warnings(fit: HandEye, error_m: float):
+def _warnings(fit: HandEye, error_m: float, ratio: float):
     """Yield warnings about a result that is not reliable."""
     if len(fit.names) < GOOD_VIEWS:
         yield f"only {len(fit.names)} scans: {GOOD_VIEWS} or more make the result steady"
+    if abs(ratio - 1) > GOOD_RATIO:
+        yield (
+            f"depth differs by {100 * (ratio - 1):+.2f} % from the distance that the size of the "
+            "squares gives: measure the printed board, and check the intrinsics"
+        )
     if error_m > GOOD_ERROR_M:
         yield (
             f"the calibration alone moves a measured point by {1e3 * error_m:.2f} mm (RMS): add "

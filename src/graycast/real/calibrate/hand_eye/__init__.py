@@ -15,11 +15,10 @@ from .board_pose import scan_board
 from .calibrating import calibrate_hand_eye
 from .hand_eye_file import describe_hand_eye, describe_prediction, read_guess, write_hand_eye
 from .plan import CellNoise, Plan, middle_of_views, predict, simulated_errors_m
-from .robot_poses import CONVENTION, read_poses
+from .robot_poses import read_poses
 from .scans import read_scans
 
 __all__ = [
-    "CONVENTION",
     "CellNoise",
     "Plan",
     "calibrate_hand_eye",

@@ -12,6 +12,7 @@ Each module imports only from the modules above it:
     real_commands      the group real
     rescan_command     rescan
     parts_command      parts
+    hand_eye_command   rig hand-eye
     rig_commands       the group rig
     start_commands     demo, new, doctor, schema
     scene_commands     preview, generate, live, validate, report

@@ -75,7 +75,7 @@ _METAVARS: Mapping[object, str] = {
     whole: "N", positive: "N", above_zero: "NUMBER", share: "SHARE", size: "WxH", sides_m: "WxH",
     Path: "PATH", distortion: "D", "--address": "HOST:PORT", "--shares": "SHARES",
     "--on": "DATASET", "--files": "FOLDER", "--config": "FILE", "--width": "PX", "--rig": "RIG",
-    "--intrinsics": "K",
+    "--intrinsics": "K", "--board": "BOARD",
     "--scale": "METRES", "--near": "METRES", "--far": "METRES", "--at": "METRES",
     "--noise": "METRES",
 }  # fmt: skip
@@ -139,6 +139,13 @@ SHARED: Mapping[str, tuple[Kind, str]] = {  # kind and help
     "--unit": (tuple(UNITS_M),
         "The unit of the lengths in the file. It is needed only if the file does not make it "
         "clear."),
+    "--board": (str,
+        "The board: chessboard:9x6:0.025 states the numbers of squares and their side in metres; "
+        "charuco:8x5:0.03:0.022:DICT_5X5_100 adds the side of the markers and their dictionary. "
+        "Add :legacy at the end for a ChArUco board in the layout of OpenCV before 4.6."),
+    "--simulate": (whole,
+        "The number of simulations: of the labels of each scene with physics, or of calibrations "
+        "with noise."),
     "--near": (length_m, "The nearest working distance in metres."),
     "--far": (length_m, "The farthest working distance in metres."),
 }  # fmt: skip

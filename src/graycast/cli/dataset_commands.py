@@ -20,7 +20,7 @@ from .arguments import (
     resolve_config,
 )
 from .bars import open_bars
-from .readers import above_zero, export_format, positive, whole
+from .readers import above_zero, export_format, positive
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -218,8 +218,7 @@ def _add_grasps(group) -> None:
     add_option(grasps, "--name", str, name, usual=kind, metavar="NAME")
     most = "The largest number of labels of an instance."
     add_option(grasps, "--per-instance", positive, most, 20)
-    simulated = "The number of labels of each scene that are simulated with physics."
-    add_option(grasps, "--simulate", whole, simulated, 10)
+    add_shared(grasps, "--simulate", default=10)
     places = "The number of candidate grasps on each kind of part."
     add_option(grasps, "--places", positive, places, 400)
     add_shared(grasps, "--seed", default=0)

@@ -25,6 +25,7 @@ from .arguments import (
     workers_of,
 )
 from .bars import open_bars
+from .hand_eye_command import add_hand_eye
 from .readers import above_zero, length_m, metres, sides_m, size
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
@@ -125,16 +126,7 @@ def _add_files(group) -> None:
         "The stack files, one for each pose of the board. Each stack must code columns and rows.",
         nargs="+",
     )
-    add_option(
-        calibrate,
-        "--board",
-        str,
-        "The board: chessboard:9x6:0.025 states the numbers of squares and their side in metres; "
-        "charuco:8x5:0.03:0.022:DICT_5X5_100 adds the side of the markers and their dictionary. "
-        "Add :legacy at the end for a ChArUco board in the layout of OpenCV before 4.6.",
-        required=True,
-        metavar="BOARD",
-    )
+    add_shared(calibrate, "--board", required=True)
     add_out(calibrate, "The YAML file to write.")
     add_shared(calibrate, "--near", usual="10 %% less than the distance of the nearest corner")
     add_shared(calibrate, "--far", usual="10 %% more than the distance of the farthest corner")
@@ -146,6 +138,7 @@ def _add_files(group) -> None:
         help="The largest number of radial distortion coefficients of each lens. "
         "Coefficients that the corners do not determine are set to 0 (default: 3).",
     )
+    add_hand_eye(group)
 
 
 def _add_pictures(group) -> None:

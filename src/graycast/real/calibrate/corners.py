@@ -139,6 +139,8 @@ def _find_chessboard(byte, board):
     size = (board.squares_x - 1, board.squares_y - 1)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     is_there, position = cv2.findChessboardCornersSB(byte, size, flags=flags)
+    if not is_there:  # OpenCV's older detector finds small boards in noise or speckle.
+        is_there, position = cv2.findChessboardCorners(byte, size)
     if not is_there:
         return None
     return np.arange(board.corner_count), position.reshape(-1, 2).astype(np.float64)
@@ -284,9 +286,9 @@ def projector_corners(
     n = len(corners.id)
     position_px, per_camera_px = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
     for i in range(n):
-        pixel = _disc(corners.position_px[i], corners.px_per_square[i], *column.shape)
+        pixel = disc(corners.position_px[i], corners.px_per_square[i], *column.shape)
         for axis, (code, sigma) in enumerate(((column, sigma_column), (row, sigma_row))):
-            position_px[i, axis], per_camera_px[i, axis] = _read_at(
+            position_px[i, axis], per_camera_px[i, axis] = read_at(
                 corners.position_px[i], pixel, code, sigma
             )
     undecoded = ~np.isfinite(position_px).all(axis=1)
@@ -294,7 +296,7 @@ def projector_corners(
     return position_px, per_camera_px
 
 
-def _disc(
+def disc(
     centre: Float[np.ndarray, "2"], px_per_square: Float[np.ndarray, "2 2"], h: int, w: int
 ) -> Int[np.ndarray, "k 2"]:
     """Return the pixels (x, y) that are within `CODE_REACH` squares of a corner on the board."""
@@ -307,7 +309,7 @@ def _disc(
     return pixel[np.square(in_squares).sum(axis=1) < CODE_REACH**2]
 
 
-def _read_at(
+def read_at(
     centre: Float[np.ndarray, "2"],
     pixel: Int[np.ndarray, "k 2"],
     code: Float[np.ndarray, "h w"],

@@ -15,6 +15,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
 WEB = SOURCE / "show/report/page/web"
+TYPES = sorted(SOURCE.rglob("*.d.ts"))
 OPTIONS = {
     "allowJs": True,
     "checkJs": True,
@@ -56,7 +57,7 @@ def scripts(name):
 def checked(folder, files):
     """Return the output of TypeScript's checker for scripts that one page loads."""
     settings = folder / "tsconfig.json"
-    files = [str(one) for one in (WEB / "types.d.ts", *files)]
+    files = [str(one) for one in (*TYPES, *files)]
     settings.write_text(json.dumps({"compilerOptions": OPTIONS, "files": files}))
     return run("typescript/bin/tsc", "--pretty", "false", "-p", settings)
 
@@ -90,5 +91,5 @@ def test_a_wrong_name_or_number_of_arguments_is_detected(right, wrong, tmp_path)
 def test_every_script_is_formatted_and_belongs_to_a_page():
     there = sorted({*SOURCE.rglob("*.js"), *(ROOT / "docs").glob("*.js")})
     assert set(there) == {path for name in PAGES for path in scripts(name)}
-    done = run("prettier/bin/prettier.cjs", "--check", *there, WEB / "types.d.ts")
+    done = run("prettier/bin/prettier.cjs", "--check", *there, *TYPES)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -74,6 +74,12 @@ def definitions() -> list[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef | as
     ]
 
 
+def scripts() -> list[str]:
+    """Return the paths in the package of the pages' scripts, and of the files with their types."""
+    paths = [*SOURCE.rglob("*.js"), *SOURCE.rglob("*.ts")]
+    return [path.relative_to(SOURCE).as_posix() for path in paths]
+
+
 def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
     """Yield the file and name of each function, and its syntax tree."""
     for name, node in definitions():
@@ -91,6 +97,11 @@ SIZES = {
         FILE_LINES,
         LONG_FILES,
         lambda: {name: len(text.splitlines()) for name, text in sources().items()},
+    ),
+    "lines of a page's script": (
+        FILE_LINES,
+        {},
+        lambda: {name: len((SOURCE / name).read_text().splitlines()) for name in scripts()},
     ),
     "lines of a function": (
         FUNCTION_LINES,

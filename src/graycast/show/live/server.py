@@ -32,7 +32,10 @@ MOST_BYTES = 1_000_000  # largest size of a request
 _BEAT_S = 0.25  # interval at which a page's stream checks whether the page is still open
 
 _SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
-_OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")
+_OWN = (
+    *("index.html", "live.css", "state.js", "controls.js", "world.js", "connection.js"),
+    *("pictures.js", "views.js", "figures.js", "settings.js", "live.js"),
+)
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray", "magma")
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 _POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'"

@@ -25,7 +25,8 @@ _WEB = Web(
     styles=("picks.css",),
     scripts=(
         *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # shared with the dataset's page
-        *("outcomes.js", "bins.js", "bodies.js", "replay.js"),
+        *("outcomes.js", "bins.js", "bodies.js", "state.js", "scans.js"),
+        *("attempts.js", "player.js", "layers.js", "replay.js"),
     ),
 )
 

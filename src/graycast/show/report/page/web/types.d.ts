@@ -215,23 +215,6 @@ interface Toolbar {
   under(said: Said[], names: string[]): HTMLElement[];
 }
 
-interface Outcome {
-  name: string;
-  color: string;
-  meaning: string;
-}
-
-interface Outcomes {
-  of(k: number): Outcome;
-  named(name: string): Outcome;
-  number(name: string): number;
-  looked(k: number): boolean;
-  any(): boolean;
-  clear(): void;
-  swatch(one: Outcome): HTMLElement;
-  buttons(counts: Record<string, number>, changed: () => void): HTMLElement[];
-}
-
 type Row = Record<string, any>; // a scene of the grid; its keys are the columns of index.js
 
 interface Shared {
@@ -341,9 +324,10 @@ interface Shared {
   carried(motion: any, time: number, before: number[]): Float32Array | null;
   makeBodies(middle: number[], now: () => any): Promise<(gl: GL) => (prefs: Prefs) => Drawn[]>;
   resting(now: any, k: number): Float32Array;
+  replay: Replay;
 
   // the live page
-  live: { latencies: number[]; errors: string[]; painted: number };
+  live: Live;
   makeWorld(scene: Scene, drag: (changes: any, draft: boolean) => void): any;
   worldOptions(
     prefs: Prefs,

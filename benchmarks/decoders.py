@@ -77,7 +77,7 @@ def pictures_of(
 
 
 def decode_with(
-    folder: Path, rig: Rig, settings: Mapping[str, Any], axes: Sequence[Axis] = AXES
+    folder: Path, rig: Rig | None, settings: Mapping[str, Any], axes: Sequence[Axis] = AXES
 ) -> StackResult:
     """Decode a stack with other settings of its section `decode`, and only the frames of `axes`."""
     content = yaml.safe_load((folder / "stack.yaml").read_text(encoding="utf-8"))

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,6 @@ from ..decode import (
     Reason,
     decode,
     epipolar_residual_px,
-    reason_shares,
     separate,
     triangulate,
     triangulation_axis,
@@ -35,7 +34,7 @@ from ..decode.plan import plan_axes
 from ..sigma import with_ripple
 from .averaging import join_pixels, meet_rays
 from .believed_depth import believed_depth, epipolar_limit_px
-from .description import code_of, read_description
+from .description import StackDescription, code_of, read_description
 from .diagnosis import diagnose
 from .idle_settings import idle_settings
 from .levels import MeasuredLevels, measure_levels
@@ -116,11 +115,8 @@ def decode_stack(
     clock, description = _Clock(), read_description(path)
     spec, stated_px = description.decode_spec()
     code = code_of(description, path)
-    with _naming(path):
-        plan_axes(code, spec.fine_bits)
-    _check_axes(code, rig, average, path)
-    pictures = read_pictures([path.parent / section.file for section in description.frames])
-    _check_camera(pictures, rig, path)
+    _check_axes(code, spec, rig, average, path)
+    pictures = _pictures(description, rig, path)
     clock.lap("read")
     with _naming(path):
         levels = measure_levels(pictures.frames, code, description.levels)
@@ -133,12 +129,10 @@ def decode_stack(
     picture = _picture(pictures, code)
     clock.lap("diagnosis")
     depth = cloud = residual_px = None
-    by_noise, notes = codes, list[str]()
+    by_noise, notes, limit = codes, list[str](), spec.max_p_wrong
     evidence = pictures.frames, code, levels.levels
     if rig is None:
-        positions, p_wrong = without_doubtful_positions(
-            codes, *evidence, max_p_wrong=spec.max_p_wrong
-        )
+        positions, p_wrong = without_doubtful_positions(codes, *evidence, max_p_wrong=limit)
     else:
         _refuse_turned(codes, rig, path)
         warnings += _rig_size(code, rig)
@@ -147,7 +141,7 @@ def decode_stack(
             residual_px = epipolar_residual_px(codes, first, rig)
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = epipolar_limit_px(stated_px, residual_px)
-        positions, sure = without_doubt(codes, first, rig, *evidence, max_p_wrong=spec.max_p_wrong)
+        positions, sure = without_doubt(codes, first, rig, *evidence, max_p_wrong=limit)
         depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
         p_wrong = depth.p_wrong
         if not diagnosis.explained:
@@ -160,11 +154,9 @@ def decode_stack(
         else:
             cloud = _pixel_cloud(depth, rig, picture)
         clock.lap("cloud")
-    figures = figures_of(pictures.frames, code, by_noise, residual_px)
-    notes += idle_settings(spec, stated_px, code, rig)
-    # Later steps than `decode` remove pixels, too: doubtful ones, outliers and those out of range.
     reason = positions.reason if depth is None else depth.reason
-    figures = replace(figures, reasons=reason_shares(reason))
+    figures = figures_of(pictures.frames, code, by_noise, residual_px, reason)
+    notes += idle_settings(spec, stated_px, code, rig)
     light = _light(pictures, code, levels.levels)
     clock.lap("figures")
     return StackResult(
@@ -181,6 +173,12 @@ def decode_stack(
         cloud=cloud,
         light=light,
     )
+
+
+def _pictures(description: StackDescription, rig: Rig | None, path: Path) -> StackPictures:
+    pictures = read_pictures([path.parent / section.file for section in description.frames])
+    _check_camera(pictures, rig, path)
+    return pictures
 
 
 def _light(pictures: StackPictures, code: Code, levels: Levels):
@@ -224,8 +222,10 @@ class _Clock:
         self._last = now
 
 
-def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
+def _check_axes(code: Code, spec: DecodeSpec, rig: Rig | None, average: bool, path: Path) -> None:
     """Check that the coded axes suffice for the options, before pictures are read."""
+    with _naming(path):
+        plan_axes(code, spec.fine_bits)
     if average and rig is None:
         raise DecodeError(f"{path}: averaging computes 3D points, which need a rig: give --rig")
     if average and len(code.axes) < 2:

@@ -45,7 +45,14 @@ def figures_of(
     code: Code,
     codes: CodeMap,
     residual_px: Float[np.ndarray, "h w"] | None,
+    reason: UInt8[np.ndarray, "h w"],
 ) -> StackFigures:
+    """Return the figures of a stack.
+
+    Args:
+        codes: the positions before any is removed as doubtful, as an outlier or as out of range.
+        reason: the reasons after that.
+    """
     lit = codes.reason != Reason.SHADOW
     off = sure = np.empty(0)
     if residual_px is not None:
@@ -60,7 +67,7 @@ def figures_of(
     return StackFigures(
         lit_share=float(lit.mean()),
         decoded_share=float(decoded[lit].mean()) if lit.any() else 0.0,
-        reasons=reason_shares(codes.reason),
+        reasons=reason_shares(reason),
         modulation=_modulation(frames, code, decoded, codes.modulation) if decoded.any() else {},
         clipped_share=_marked(codes, decoded, Mark.CLIPPED),
         settled_share=_marked(codes, decoded, Mark.SETTLED),

@@ -394,3 +394,10 @@ def test_an_empty_dataset_is_reported(opened, tmp_path):
 def test_the_text_of_a_problem_names_its_scene():
     assert str(Problem(scene=12, what="it broke")) == "scene 000012: it broke"
     assert str(Problem(scene=None, what="it broke")) == "it broke"
+
+
+@pytest.mark.slow
+def test_several_processes_find_the_same_problems_in_the_same_order(damaged):
+    for scene in sorted((damaged / "train").iterdir()):
+        grow_mask(scene)
+    assert validate(damaged, workers=2) == validate(damaged) != ()

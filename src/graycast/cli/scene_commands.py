@@ -105,6 +105,7 @@ def _add_reading(commands) -> None:
         "Check only the SHA-256 digest of every file, not whether the contents of the files are "
         "consistent.",
     )
+    add_shared(validate, "--workers", default=1)
 
     report = add_command(
         commands, "report", _report, "Write a web page of a dataset.",
@@ -314,7 +315,7 @@ def _validate(options: argparse.Namespace) -> int:
     from ..dataset.check.checking import validate
     from ..dataset.read.real import absent
 
-    problems = validate(options.dataset, fast=options.fast)
+    problems = validate(options.dataset, fast=options.fast, workers=options.workers)
     for problem in problems:
         print(problem)
     sound = "every file has the digest with which it was written" if options.fast else "valid"

@@ -1,7 +1,9 @@
 """Check a dataset from its files alone, without the renderer and the configuration."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from ...base.file_limits import parse_json
 from ...base.frames import is_rigid
 from ...base.ply import split
 from ...base.public_value import public_value
+from ...base.spawn import SPAWN
 from ..files import records
 from ..files.places import CLAIM, camera_file, finished_scenes
 from ..files.safe_reading import Unreadable, read_json
@@ -43,7 +46,7 @@ class Problem:
         return f"scene {self.scene:06d}: {self.what}" if self.scene is not None else self.what
 
 
-def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
+def validate(out: Path | str, *, fast: bool = False, workers: int = 1) -> tuple[Problem, ...]:
     """Return all problems of a dataset folder; an empty tuple if the folder has no problems.
 
     Each file must have the SHA-256 that was recorded when it was written. With `fast`, nothing else
@@ -57,13 +60,18 @@ def validate(out: Path | str, *, fast: bool = False) -> tuple[Problem, ...]:
     A dataset of real pictures is checked for what it contains: pictures, masks, counts and run
     lengths. A rescan is checked only for what the scanner added.
 
+    Args:
+        workers: number of processes that check the contents of scenes; the result does not depend
+            on it.
+
     Raises:
         DatasetError: the folder holds no dataset, or one of another version of Graycast.
     """
-    return tuple(Problem(scene=scene, what=what) for scene, what in _problems(Path(out), fast=fast))
+    findings = _problems(Path(out), fast=fast, workers=workers)
+    return tuple(Problem(scene=scene, what=what) for scene, what in findings)
 
 
-def _problems(out: Path, *, fast: bool) -> Iterator[_Finding]:
+def _problems(out: Path, *, fast: bool, workers: int) -> Iterator[_Finding]:
     if is_rescanned(out):
         yield from rescan_problems(out, fast=fast)
         return
@@ -99,12 +107,26 @@ def _problems(out: Path, *, fast: bool) -> Iterator[_Finding]:
             yield None, str(error)
             continue
         yield from _of_dataset(_model_problems(int(obj_id), model))
-    for scene_id in finished:
-        folder = out / "train" / f"{scene_id:06d}"
-        of_scene = scene_problems(folder, claim=claim, cameras=cameras, models=models)
+    check = partial(_scene_problems, claim=claim, cameras=cameras, models=models)
+    folders = [out / "train" / f"{scene_id:06d}" for scene_id in finished]
+    for scene_id, of_scene in zip(finished, _each(check, folders, workers), strict=True):
         yield from ((scene_id, what) for what in of_scene)
     yield from _of_dataset(_split_problems(out, cameras, finished, claim))
     yield from _of_dataset(grasp_problems(out, claim.fingerprint, models))
+
+
+def _each(
+    check: Callable[[Path], list[str]], folders: list[Path], workers: int
+) -> Iterator[list[str]]:
+    if workers == 1 or len(folders) < 2:
+        yield from map(check, folders)
+        return
+    with ProcessPoolExecutor(workers, mp_context=SPAWN) as pool:
+        yield from pool.map(check, folders, chunksize=4)
+
+
+def _scene_problems(folder: Path, **dataset: Any) -> list[str]:
+    return list(scene_problems(folder, **dataset))
 
 
 def _of_dataset(problems: Iterable[str]) -> Iterator[_Finding]:

@@ -34,10 +34,10 @@ SOURCE = ROOT / "src" / "graycast"
 # of array types in editors. Then came 1,000 for the probability of a wrong depth, its evidence and
 # its use by datasets, clouds, merges, grips and detectors; and 200 for fits of materials in Python,
 # from pictures, and with plain Gray codes. Then came 50 for folders within `dataset` and
-# `robot.pick`, whose docstrings list their modules. Then came 1,700 for hand-eye calibration, whose
-# formats of scans and poses and whose named mistakes are two thirds of it; 600 for a virtual scanner
-# and the bin below it; 500 for ROS 2 bags, recordings of rerun and folders of pose demos; and 100
-# for doubtful positions of stacks without a rig and for checks in several processes.
+# `robot.pick`, whose docstrings list their modules. Then came 1,700 for hand-eye calibration: two
+# thirds of it read scans and poses and name mistakes; 600 for a virtual scanner and the bin below
+# it; 500 for ROS 2 bags, recordings of rerun and folders of pose demos; and 100 for doubtful
+# positions of stacks without a rig and for checks in several processes.
 MOST_LINES = 82_850
 # This is the number of words in README.md and in the pages of docs that people write. 44,000 words
 # describe the program without the materials of scans. 1,800 were added for fitting and using a

@@ -50,7 +50,7 @@ OPTIONS = {
     "--depth-scale --intrinsics --ray-length --unit --depth-only --images --copy --seed --backend "
     "--device WORKERS",
     "live": "config --port --scene --open --device",
-    "validate": "dataset --fast",
+    "validate": "dataset --fast --workers",
     "report": "dataset --out --workers --detections --files --width",
     "parts": "config --out --device",
     "dataset stats": "dataset --out --workers --card --licence",

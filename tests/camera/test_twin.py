@@ -65,7 +65,8 @@ def test_the_simulated_sea_shell_scanner_has_the_modulation_of_the_real_one(twin
         scene, EMPTY_LAYOUT, code.render(), quality=Quality(samples=16, depth=3), seed=1
     )
     shot = scan(scanner, rendering.radiance, seed=2)
-    modulation = figures_of(shot.capture.frames, code, shot.codes, None).modulation
+    figures = figures_of(shot.capture.frames, code, shot.codes, None, shot.codes.reason)
+    modulation = figures.modulation
     got = np.array([modulation[f"column_bit{bit:02d}"] for bit in range(10, -1, -1)])
     np.testing.assert_allclose(got[:7], REAL[:7], atol=0.06)
     np.testing.assert_allclose(got[-3:], REAL[-3:], atol=0.06)

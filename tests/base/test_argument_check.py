@@ -24,8 +24,9 @@ NOTHING = object()  # No annotation accepts this value.
 
 # Classes that only the library makes: their arrays are checked in the functions that use them.
 RESULTS = {
-    "Capture", "Cell", "CodeMap", "DepthMap", "Detections", "Example", "GroundTruth", "Layout",
-    "MaterialFit", "MaterialScan", "Radiance", "Rendering", "SceneResult", "Shot",
+    "Capture", "Cell", "CodeMap", "DepthMap", "Detections", "Example", "FrameTruth", "GroundTruth",
+    "Layout", "MaterialFit", "MaterialScan", "Radiance", "Rendering", "SceneResult", "ScannerFrame",
+    "Shot",
 }  # fmt: skip
 
 

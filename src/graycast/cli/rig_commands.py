@@ -296,32 +296,28 @@ def _calibrate(options: argparse.Namespace) -> None:
 
 
 def _decode(options: argparse.Namespace) -> None:
-    from ..camera.rig_file import load_scanner
     from ..camera.stack import (
         CODE,
         decode_stack,
         describe_result,
         read_description,
+        stack_scanner,
         unread_settings,
         write_result,
     )
 
     refuse_foreign(options.out, CODE)
     stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
-    description = read_description(stack)
-    if options.rig is not None:
-        scanner = resolve_rig_option(options)
-    else:
-        own = description.rig
-        scanner = None if own is None else load_scanner(stack.parent / own)
+    scanner = stack_scanner(stack) if options.rig is None else resolve_rig_option(options)
     if scanner is None:
         result = decode_stack(stack, average=options.average)
     else:
         result = decode_stack(stack, scanner.rig, average=options.average, filters=scanner.filters)
     written = write_result(result, options.out)
     print(describe_result(result))
-    for note in unread_settings(description, scanner.decode) if scanner else ():
-        print(f"note: {note}")
+    if scanner is not None:
+        for note in unread_settings(read_description(stack), scanner.decode):
+            print(f"note: {note}")
     for path in written:
         print(path)
 

@@ -32,6 +32,7 @@ from .description import (
     describe_frames,
     describe_stack,
     read_description,
+    stack_scanner,
 )
 from .diagnosis import mirror_symptom
 from .idle_settings import unread_settings
@@ -56,6 +57,7 @@ __all__ = [
     "meet_rays",
     "mirror_symptom",
     "read_description",
+    "stack_scanner",
     "unread_settings",
     "write_ply",
     "write_result",

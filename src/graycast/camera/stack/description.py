@@ -12,6 +12,7 @@ from ...base.sections import read_as, section_of
 from ...base.settings import Level, Positive, Settings, read_settings
 from ...rig.pattern import AXES, Axis, Code, Frame
 from ..decode import DecodeSpec, levels_of
+from ..rig_file import load_scanner
 from ..scanner import Scanner
 
 _MUST: dict[str, tuple[str, ...]] = {
@@ -197,6 +198,16 @@ def read_description(path: Path) -> StackDescription:
         ConfigError: a value is wrong; the message names the file, the key and the remedy.
     """
     return read_settings(path, StackDescription)
+
+
+def stack_scanner(path: Path) -> Scanner | None:
+    """Return the scanner in the rig file that a stack file names; None if it names none.
+
+    Raises:
+        ConfigError: the stack file or the rig file has a wrong value.
+    """
+    own = read_description(path).rig
+    return None if own is None else load_scanner(path.parent / own)
 
 
 def describe_code(code: Code, files: Sequence[str]) -> str:

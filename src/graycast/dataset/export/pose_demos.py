@@ -20,6 +20,7 @@ from ..files.json_text import json_bytes
 from ..files.records import MM_PER_M
 from ..read.example import InstanceLabel
 from ..read.stored import StoredDataset, StoredScene
+from ..write.picture_bytes import png
 from .clouds import color_image
 from .options import Options, settled
 from .placing import place
@@ -42,8 +43,8 @@ def write_split(
             mask = coco_mask.decode(label.segmentation) * np.uint8(255)
             for name, image in (images | {"masks": mask}).items():
                 (target / name).mkdir(parents=True)
-                png = cv2.imencode(".png", _without_lens(image, scene))[1].tobytes()
-                (target / name / f"{_NAME}.png").write_bytes(png)
+                picture = png(np.ascontiguousarray(_without_lens(image, scene)))
+                (target / name / f"{_NAME}.png").write_bytes(picture)
             K = scene.view().cam_K
             np.savetxt(target / "cam_K.txt", np.reshape(K, (3, 3)))
             (target / "camera.json").write_bytes(json_bytes({"cam_K": K, "depth_scale": 1.0}))

@@ -11,9 +11,8 @@ from ...base import array_types as arrays
 from ...base.errors import ConfigError, GraycastError
 from ...base.public_value import public_value
 from ...camera.decode import FilterSpec, Mark, Reason, filter_depth
-from ...camera.rig_file import load_scanner
 from ...camera.scanner import Scanner
-from ...camera.stack import StackResult, decode_stack, read_description
+from ...camera.stack import StackResult, decode_stack, stack_scanner
 from ...dataset.files.safe_reading import Unreadable, read_mask
 from ...dataset.write.raw import EXPOSURE, read_capture
 from .fitting import scale_of
@@ -158,10 +157,9 @@ def open_scan(path: Path | str, scanner: Scanner | None = None) -> MaterialScan:
     path = Path(path)
     stack = path / "stack.yaml" if path.is_dir() else path
     if scanner is None:
-        own = read_description(stack).rig
-        if own is None:
-            raise ConfigError(f"{stack}: names no rig, which a material needs: give --rig")
-        scanner = load_scanner(stack.parent / own)
+        scanner = stack_scanner(stack)
+    if scanner is None:
+        raise ConfigError(f"{stack}: names no rig, which a material needs: give --rig")
     result = decode_stack(stack, scanner.rig, filters=scanner.filters)
     assert result.depth is not None
     decoded = result.codes.reason == Reason.DECODED

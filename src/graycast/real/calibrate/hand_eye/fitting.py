@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ....base.frames import inverse, rigid
 from .board_pose import BoardPose
-from .motion import adjoint, motion_between, moved
+from .motion import adjoint, motion_between, motion_of_point, moved
 
 Mount = Literal["in-hand", "to-hand"]
 USUAL = (1e-3, 1e-3)  # The scatter [rad] and [m] of robot poses before it is estimated.
@@ -96,7 +96,7 @@ class HandEye:
 
     def point_covariance(self, point_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
         """Return the covariance [m^2], by the fit's error, of a point that the camera measures."""
-        G = np.hstack([np.cross(np.eye(3), -point_m), np.eye(3)])
+        G = motion_of_point(point_m)
         return G @ self.covariance[:6, :6] @ G.T
 
 

@@ -29,6 +29,11 @@ def motion_between(
     return np.hstack([Rotation.from_matrix(step[:, :3, :3]).as_rotvec(), step[:, :3, 3]])
 
 
+def motion_of_point(point_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 6"]:
+    """Return the matrix that maps a small motion of a frame to the step [m] of a point in it."""
+    return np.hstack([np.cross(np.eye(3), -point_m), np.eye(3)])
+
+
 def adjoint(T_a_b: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 6 6"]:
     """Return the matrices that map small motions in frame b to the same motions in frame a."""
     R, t = T_a_b[..., :3, :3], T_a_b[..., :3, 3]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from ....base.frames import inverse, rigid, transform_points
 from ....rig.optics import in_picture, project
@@ -13,7 +14,7 @@ from ..corners import MIN_CORNERS
 from .board_pose import BoardPose, BoardScan, board_poses, pose_covariance
 from .fitting import Mount, fit_hand_eye, information_of, views_of
 from .mistakes import MIN_VIEWS, refuse_one_axis
-from .motion import moved
+from .motion import motion_of_point, moved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,10 +120,10 @@ def predict(plan: Plan) -> Prediction:
     middle_m = plan.board.corners_m.mean(axis=0)
     point_m = np.mean([transform_points(T, middle_m) for T in T_cam_board], axis=0)
     information = information_of(views, plan.T_robot_cam, plan.T_other_board, scatter)
-    G = np.hstack([np.cross(np.eye(3), -point_m), np.eye(3), np.zeros((3, 6))])
+    G = motion_of_point(point_m)
 
     def error_m(information: Float[np.ndarray, "12 12"]) -> float:
-        return float(np.sqrt(np.trace(G @ np.linalg.inv(information) @ G.T)))
+        return float(np.sqrt(np.trace(G @ np.linalg.inv(information)[:6, :6] @ G.T)))
 
     whole = information.sum(axis=0)
     return Prediction(
@@ -184,6 +185,5 @@ def middle_of_views(
     pull = across + 0.01 * np.eye(3)
     goal = np.einsum("nij,nj->ni", pull, eye + distance_m * axis)
     middle = np.linalg.solve(pull.sum(axis=0), goal.sum(axis=0))
-    U, _, Vt = np.linalg.svd(T_world_cam[:, :3, :3].mean(axis=0))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    R = Rotation.from_matrix(T_world_cam[:, :3, :3]).mean().as_matrix()
     return rigid(R, middle - R @ board.corners_m.mean(axis=0))

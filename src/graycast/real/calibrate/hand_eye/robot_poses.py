@@ -105,16 +105,14 @@ def _read_csv(path: Path) -> RobotPoses:
     else:
         kind = "rotation vector"
         turn, scale_rad = _columns(heads, TURNS[kind], {"rad": 1.0, "deg": np.pi / 180}, path)
-    rows = []
+    rows, scans = [], list[str]()
     for i, row in enumerate(reader, 2):
         try:
             rows.append([float(row[head]) for head in (*place, *turn)])
         except (TypeError, ValueError, KeyError) as error:
             raise ConfigError(f"{path}: line {i} lacks a number: correct it") from error
-    names = None
-    if "scan" in heads:
-        again = csv.DictReader(io.StringIO(read_text(path)), skipinitialspace=True)
-        names = tuple(str(row["scan"]).strip() for row in again)
+        scans.append(str(row.get("scan")).strip())
+    names = tuple(scans) if "scan" in heads else None
     table = np.array(rows).reshape(-1, 3 + len(turn))
     if not np.isfinite(table).all():
         raise ConfigError(f"{path}: a number is not finite: correct it")

@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from ....base.folder import visible_entries
-from ....camera.rig_file import load_scanner
 from ....camera.scanner import Scanner
-from ....camera.stack import decode_stack, read_description
+from ....camera.stack import decode_stack, stack_scanner
 from ....rig.optics import Optics, optics_of
 from ...depth_file import FileOptions
 from ...picture_pairs import find_shots, read_shot
@@ -67,17 +66,16 @@ def _by_number(name: str) -> list[tuple[str, int]]:
 
 def _stack(path: Path, name: str, scanner: Scanner | None) -> RobotScan:
     if scanner is None:
-        own = read_description(path).rig
-        if own is None:
-            raise CalibrationError(f"{path}: names no rig, which depth needs: give --rig")
-        scanner = load_scanner(path.parent / own)
+        scanner = stack_scanner(path)
+    if scanner is None:
+        raise CalibrationError(f"{path}: names no rig, which depth needs: give --rig")
     result = decode_stack(path, scanner.rig, filters=scanner.filters)
     assert result.depth is not None
     return RobotScan(
         name=name,
         picture=result.picture.mean(axis=2).astype(np.uint8),
         depth_m=result.depth.depth_m.astype(np.float64),
-        sigma_m=None if result.depth.sigma_m is None else result.depth.sigma_m.astype(np.float64),
+        sigma_m=result.depth.sigma_m.astype(np.float64),
         camera=scanner.rig.camera,
     )
 

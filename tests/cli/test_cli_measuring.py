@@ -348,10 +348,10 @@ def test_certify_checks_its_folder_before_it_starts(capsys, tmp_path, monkeypatc
 
 
 def test_the_message_of_a_stopped_command_without_scenes_mentions_none(capsys, monkeypatch):
-    def stop(*_):
+    def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("graycast.camera.stack.read_description", stop)
+    monkeypatch.setattr("graycast.camera.stack.decode_stack", stop)
     assert main(["rig", "decode", "s.yaml", "--rig", "paper", "--out", "o"]) == 130
     assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 

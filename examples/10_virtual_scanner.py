@@ -3,7 +3,7 @@
 `empty_bin` is the user's program, for a simulated scanner or a bag of `graycast dataset export`.
 For a real scanner, change the lines marked `device`. `segment` stands for your detector.
 
-Run: .venv/bin/python examples/10_virtual_scanner.py [--bag out/demo-bag/train]
+Run: .venv/bin/python examples/10_virtual_scanner.py [--bag out/cubes-bag/train]
 """
 
 import argparse
@@ -29,7 +29,7 @@ def segment(depth_m, points_world, inner_m) -> list:
     return [mask for mask in masks if mask.sum() >= LEAST_PX]
 
 
-def empty_bin(scanner, lift_at, nudge, model, inner_m) -> None:
+def empty_bin(scanner: gc.ScannerDevice, lift_at, nudge, model, inner_m) -> None:
     """Let a robot lift the highest part of each frame, until no part is left."""
     lifted, misses, seconds = 0, 0, 0.0
     while misses < 3:

@@ -64,12 +64,8 @@ def test_the_frames_of_a_bag_are_the_stored_pictures_bit_for_bit_in_the_order_of
         steps = png(dataset[0], IDS[k], "depth_sl")
         depth_m = np.where(steps > 0, steps * SCALE_MM / 1e3, np.nan).astype(np.float32)
         assert same(frame.depth_m, depth_m)
-        for value, name in (
-            (frame.gray, "gray_sl"),
-            (frame.rgb, "rgb"),
-            (frame.reason, "reason_sl"),
-        ):
-            assert same(value, png(dataset[0], IDS[k], name)), name
+        for name, folder in (("gray", "gray_sl"), ("rgb", "rgb"), ("reason", "reason_sl")):
+            assert same(getattr(frame, name), png(dataset[0], IDS[k], folder)), name
         v, u = np.indices(depth_m.shape)
         K = dataset[1][IDS[k]].scene.rig.camera.K
         ray = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], 0 * u + 1.0], axis=-1)
@@ -82,7 +78,7 @@ def test_the_frames_of_a_bag_are_the_stored_pictures_bit_for_bit_in_the_order_of
 
 @pytest.mark.slow
 def test_each_scanner_of_a_bag_has_its_own_frames_poses_and_clock(several, tmp_path):  # noqa: F811
-    """Each scene has two pictures of `left` and then two of `right`, each of them one second."""
+    """Each scene has two pictures of `left`, then two of `right`, one second after each other."""
     out, samples = several
     export(out, tmp_path / "bag", Options(format="mcap"))
     for name, first in ((None, 0), ("right", 2)):
@@ -104,8 +100,9 @@ def test_the_first_frame_of_a_virtual_scanner_comes_back_from_a_bag(
     tmp_path, exposure, mitsuba_renderer, monkeypatch
 ):
     """Only depth and the probability that it is wrong are rounded, to the steps of the dataset."""
-    own, settings = exposure == "own code", {"decode": {"max_p_wrong": 0.5}}
-    cell = load_cell(write_cell(tmp_path, exposure={} if own else exposure, **settings))
+    own = exposure == "own code"
+    settings = {"exposure": {} if own else exposure, "decode": {"max_p_wrong": 0.5}}
+    cell = load_cell(write_cell(tmp_path, **settings))
     if own:
         cell = cell.with_own(code=cell.scanner.light_code())
     with VirtualScanner(cell, seed=SEED, device=mitsuba_renderer.device) as scanner:
@@ -192,6 +189,16 @@ def test_a_folder_or_a_file_that_is_no_bag_is_refused(bag, tmp_path):
         with pytest.raises(ScannerError, match=r"is no bag that can be read .*: give the folder"):
             BagScanner(wrong).connect()
     assert len(frames(BagScanner(file), len(IDS))) == len(IDS)
+
+
+def test_changed_bytes_in_a_picture_are_damage_and_not_the_end_of_the_bag(bag, tmp_path):
+    (file,) = bag.glob("train.*")
+    content = bytearray(file.read_bytes())
+    place = len(content) * 9 // 10
+    content[place : place + 4000] = bytes(4000)
+    (tmp_path / file.name).write_bytes(content)
+    with pytest.raises(ScannerError, match=r"train\.\w+: is damaged \(.*\): export"):
+        frames(BagScanner(tmp_path / file.name), len(IDS))
 
 
 @pytest.mark.slow

@@ -178,9 +178,14 @@ class BagScanner:
         """Yield the messages of each time, by the new names of their topics."""
         reader = self._reader
         wanted = [each for each in reader.connections if each.topic in names]
-        for time_ns, group in groupby(reader.messages(wanted), key=lambda each: each[1]):
-            messages = ((each, reader.deserialize(data, each.msgtype)) for each, _, data in group)
-            yield time_ns, {names[each.topic]: message for each, message in messages}
+        try:
+            for time_ns, group in groupby(reader.messages(wanted), key=lambda each: each[1]):
+                read = ((each, reader.deserialize(data, each.msgtype)) for each, _, data in group)
+                yield time_ns, {names[each.topic]: message for each, message in read}
+        except Exception as error:  # The errors of rosbags' storages have no common base.
+            raise ScannerError(
+                f"{self._bag}: is damaged ({error}): export the dataset again"
+            ) from error
 
 
 def _frame(
@@ -197,7 +202,7 @@ def _frame(
         time_s=time_s,
         duration_s=math.nan if times_s is None else sum(times_s) + len(times_s) * readout_s,
         pictures=None if times_s is None else len(times_s),
-        camera=optics_of(info.k, (info.height, info.width), info.d.tolist()),
+        camera=optics_of(info.k.reshape(3, 3), (info.height, info.width), info.d.tolist()),
         depth_m=maps[bags.DEPTH],
         sigma_m=None,
         p_wrong=None if cloud is None else _field(cloud, "p_wrong"),

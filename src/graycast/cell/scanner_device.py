@@ -49,7 +49,7 @@ class ScannerFrame:
 
 
 class ScannerDevice(Protocol):
-    """What a user's program calls; `VirtualScanner` and `BagScanner` both have it."""
+    """A scanner as a program sees it; `VirtualScanner` and `BagScanner` both have these calls."""
 
     @property
     def T_world_cam(self) -> arrays.FloatArray_4_4: ...

@@ -123,8 +123,8 @@ def _changed(value: Spec, section: Settings, name: str) -> Spec:
 class SettingRange:
     """The present value of a setting, and the values that it may have.
 
-    `allowed` states these values in words, and `schema` is their JSON Schema. `unit` is empty if
-    the setting has none.
+    `allowed` states these values in words, and `schema` is their JSON Schema. A setting without a
+    unit has an empty `unit`. `set(key, None)` is always allowed.
     """
 
     value: Any

@@ -186,7 +186,7 @@ class _Bag:
             yield f"{name}/{EXPOSURES}", self.make("std_msgs/Float64MultiArray", layout, times_s)
         if len(options.depths) == 2:
             depth_m = scene.depth_m(options.depths[0])
-            yield f"{TRUTH}{name}/depth/image_raw", self.image(depth_m, "32FC1", header)
+            yield f"{TRUTH}{name}/{DEPTH}", self.image(depth_m, "32FC1", header)
         yield from self.truth(scene, header)
 
     def truth(self, scene: StoredScene, header: Any) -> Iterator[tuple[str, Any]]:

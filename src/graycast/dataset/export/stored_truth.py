@@ -37,15 +37,13 @@ def exposure_times(scene: StoredScene, stored: StoredDataset) -> Float[np.ndarra
     taker, manifest = stored.taker(scene.sensor), scene.manifest()
     code = taker.get("scanner", {}).get("code")
     if code is None or "exposure_s" not in manifest:
-        return None
+        return None  # Real pictures state neither.
     factors, times_s = taker["scanner"]["exposure"]["factors"], [manifest["exposure_s"]]
     if len(factors) > 1:
         times_s = [factor * manifest["exposure_s"] for factor in factors]
     frames = code.get("frames")  # Only a code of the user's own lists them.
     if frames is None:
-        spec, projector = (
-            CodeSpec(**code | {"axes": tuple(code["axes"])}),
-            taker["rig"]["projector"],
-        )
+        projector = taker["rig"]["projector"]
+        spec = CodeSpec(**code | {"axes": tuple(code["axes"])})
         frames = spec.code(projector["width_px"], projector["height_px"]).frames
     return np.tile(manifest.get("exposures_s", times_s), len(frames))

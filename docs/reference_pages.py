@@ -14,7 +14,7 @@ from pathlib import Path
 from textwrap import dedent
 from typing import Any
 
-from graycast.base.settings import setting_description
+from graycast.base.settings import allowed_values, setting_description
 from graycast.camera.decode import Reason
 from graycast.camera.rig_file.own import RigModel
 from graycast.camera.scanner import Scanner
@@ -234,7 +234,7 @@ class _Keys:
             return f"list of {self._kind(node['items'], name)}"
         if "additionalProperties" in node:
             return f"names, each with {self._kind(node['additionalProperties'], name)}"
-        return _plain(node)
+        return _escaped(allowed_values(node))
 
     def _link(self, section: Schema, name: str) -> str:
         keys = section["properties"]
@@ -245,17 +245,6 @@ class _Keys:
             self._place[content] = f"{self._page}.md#{anchor}"
             self._todo.append((anchor, section))
         return f"[{kind or 'section'}]({self._place[content]})"
-
-
-def _plain(node: Schema) -> str:
-    words = {"integer": "whole number", "boolean": "true or false", "string": "text"}
-    kind = "path" if node.get("format") == "path" else words.get(node["type"], node["type"])
-    if "minimum" in node and "maximum" in node:
-        return f"{kind} from {node['minimum']:g} to {node['maximum']:g}"
-    limits = ("minimum ≥", "exclusiveMinimum >", "maximum ≤", "exclusiveMaximum <")
-    pairs = [limit.split() for limit in limits]
-    signs = [f"{sign} {node[limit]:g}" for limit, sign in pairs if limit in node]
-    return " ".join([kind, _escaped(", ".join(signs))]).strip()
 
 
 def _default(node: Schema) -> str:

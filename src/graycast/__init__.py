@@ -49,6 +49,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .camera.decode import decode as decode
     from .camera.decode import triangulate as triangulate
     from .camera.faults import FaultSpec as FaultSpec
+    from .camera.rig_file import SettingRange as SettingRange
     from .camera.rig_file import load_scanner as load_scanner
     from .camera.rig_file import save_scanner as save_scanner
     from .camera.rig_file.scanner_sections import CodeSection as CodeSection
@@ -65,6 +66,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .camera.sensor import SensorSpec as SensorSpec
     from .camera.stack import decode_stack as decode_stack
     from .camera.stack import describe_code as describe_code
+    from .cell.bag_scanner import BagScanner as BagScanner
     from .cell.config import BinSection as BinSection
     from .cell.config import Config as Config
     from .cell.config import LightSection as LightSection
@@ -76,13 +78,14 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .cell.resolve import Cell as Cell
     from .cell.resolve import load_cell as load_cell
     from .cell.resolve import open_cell_renderer as open_cell_renderer
+    from .cell.scanner_device import ScannerDevice as ScannerDevice
+    from .cell.scanner_device import ScannerFrame as ScannerFrame
     from .cell.simulate import Shot as Shot
     from .cell.simulate import make_images as make_images
     from .cell.simulate import make_scene as make_scene
     from .cell.views import ViewSection as ViewSection
     from .cell.virtual_bin import VirtualBin as VirtualBin
     from .cell.virtual_scanner import FrameTruth as FrameTruth
-    from .cell.virtual_scanner import ScannerFrame as ScannerFrame
     from .cell.virtual_scanner import VirtualScanner as VirtualScanner
     from .dataset.check.checking import validate as validate
     from .dataset.export.split import Split as Split
@@ -154,7 +157,7 @@ _MODULE = {
         "rendering": "GroundTruth Quality Radiance Renderer Rendering open_renderer render",
         "camera.decode": "CodeMap DecodeSpec DepthMap FilterSpec Levels Reason decode triangulate",
         "camera.faults": "FaultSpec",
-        "camera.rig_file": "load_scanner save_scanner",
+        "camera.rig_file": "SettingRange load_scanner save_scanner",
         "camera.rig_file.scanner_sections": "CodeSection DecodeSection ExposureSection "
         "FaultSection FilterSection SensorSection",
         "camera.scanner": "Scanner measure preset take",
@@ -164,14 +167,16 @@ _MODULE = {
         "dataset.read.detections": "Detections",
         "dataset.export.split": "Split",
         "dataset.training": "Example open_examples",
+        "cell.bag_scanner": "BagScanner",
         "cell.config": "BinSection Config LightSection RenderSection load_config",
         "cell.engine": "Workers",
         "cell.generate": "generate save_scene",
         "cell.resolve": "Cell load_cell open_cell_renderer",
+        "cell.scanner_device": "ScannerDevice ScannerFrame",
         "cell.simulate": "Shot make_images make_scene",
         "cell.views": "ViewSection",
         "cell.virtual_bin": "VirtualBin",
-        "cell.virtual_scanner": "FrameTruth ScannerFrame VirtualScanner",
+        "cell.virtual_scanner": "FrameTruth VirtualScanner",
         "score.evaluate": "Protocol Task evaluate",
         "real.material": "MaterialFit MaterialScan fit_material open_scan",
         "real.rescan.open_source": "open_source",

@@ -26,7 +26,7 @@ NOTHING = object()  # No annotation accepts this value.
 RESULTS = {
     "Capture", "Cell", "CodeMap", "DepthMap", "Detections", "Example", "FrameTruth", "GroundTruth",
     "Layout", "MaterialFit", "MaterialScan", "Radiance", "Rendering", "SceneResult", "ScannerFrame",
-    "Shot",
+    "SettingRange", "Shot",
 }  # fmt: skip
 
 

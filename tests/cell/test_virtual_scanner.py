@@ -16,7 +16,7 @@ from graycast.camera.scanner import measure, preset, take
 from graycast.cell.config import resolve_quality
 from graycast.cell.resolve import load_cell
 from graycast.cell.simulate import make_scene
-from graycast.cell.virtual_scanner import VirtualScanner
+from graycast.cell.virtual_scanner import SETTABLE, VirtualScanner
 from graycast.rig.pair import preset_rig, standoff_m
 from graycast.rig.pattern import CodeSpec
 
@@ -186,6 +186,36 @@ def test_a_refused_setting_names_key_value_and_range_and_changes_nothing(scanner
     assert scanner.settings == before
     scanner.set("exposure.percentile", 98)
     assert scanner.settings.exposure == replace(before.exposure, percentile=98.0)
+
+
+@pytest.mark.parametrize("rig", ["rig.yaml", "like-phoxi-m", "like-zivid-2-m70"])
+def test_each_listed_setting_accepts_its_value_and_limits_and_nothing_just_outside(tmp_path, rig):
+    """The limits are read from the JSON Schema of each setting."""
+    scanner = VirtualScanner(load_cell(write_cell(tmp_path, rig=rig)), seed=SEED, device="cpu")
+    refused = 0
+    with scanner:
+        before, ranges = scanner.settings, scanner.setting_ranges()
+        for key, setting in ranges.items():
+            section, word = key.split(".")
+            assert setting.value == getattr(getattr(before, section), word)
+            scanner.set(key, setting.value)
+            assert scanner.settings == before, key
+            one = setting.schema.get("items", setting.schema)
+            step = 1 if one["type"] == "integer" else 1e-6
+            outside = [one[k] - step for k in ("minimum",) if k in one]
+            outside += [one[k] for k in ("exclusiveMinimum", "exclusiveMaximum") if k in one]
+            outside += [one[k] + step for k in ("maximum",) if k in one]
+            outside += ["neither"] if one["type"] in ("boolean", "string") else []
+            for value in outside:
+                with pytest.raises(ConfigError, match=key.replace(".", r"\.")):
+                    scanner.set(key, [value] if "items" in setting.schema else value)
+                refused += 1
+            assert scanner.settings == before
+    assert refused > 25 and {key.split(".")[0] for key in ranges} == set(SETTABLE)
+    assert ("code.steps" in ranges) == (before.code.codec == "gray_phase")
+    target = ranges["exposure.target"]
+    assert (target.allowed, target.unit) == ("number > 0, ≤ 1", "")
+    assert ranges["exposure.exposure_s"].unit == "s" and "sensor's range" in target.description
 
 
 def test_none_returns_a_setting_to_the_value_of_the_rig(scanner):

@@ -143,15 +143,17 @@ def _field_lines(kind: Any) -> Iterator[str]:
 
 
 def field_line(name: str, hint: Any, default: Any, meaning: str) -> str:
-    """Return a field's line on a help page; MISSING means no default.
-
-    The unit follows from the end of the name.
-    """
-    words = name.split("_")
-    ends = ("_".join(words[k:]) for k in range(1, len(words)))
-    unit = next((f" [{_UNITS[end]}]" for end in ends if end in _UNITS), "")
+    """Return a field's line on a help page; MISSING means no default."""
+    unit = f" [{unit_of(name)}]" if unit_of(name) else ""
     has = "" if default is MISSING else f" = {_text(default, 1)}"
     return f"{name}{unit} ({type_text(hint)}{has})" + (f": {meaning}" if meaning else "")
+
+
+def unit_of(name: str) -> str:
+    """Return the unit at the end of a field's name; empty if there is none."""
+    words = name.split("_")
+    ends = ("_".join(words[k:]) for k in range(1, len(words)))
+    return next((_UNITS[end] for end in ends if end in _UNITS), "")
 
 
 def type_text(hint: Any) -> str:

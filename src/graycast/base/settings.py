@@ -301,6 +301,22 @@ def setting_description(model: type[Settings], key: str) -> str:
     return text
 
 
+def allowed_values(node: Mapping[str, Any]) -> str:
+    """Return the values that a JSON Schema allows in words, such as `number > 0, ≤ 1`."""
+    if "enum" in node:
+        return ", ".join(map(str, node["enum"]))
+    if "items" in node:
+        return f"list of {allowed_values(node['items'])}"
+    types = {"integer": "whole number", "boolean": "true or false", "string": "text"}
+    kind = "path" if node.get("format") == "path" else types.get(node["type"], node["type"])
+    if "minimum" in node and "maximum" in node:
+        return f"{kind} from {node['minimum']:g} to {node['maximum']:g}"
+    limits = ("minimum ≥", "exclusiveMinimum >", "maximum ≤", "exclusiveMaximum <")
+    pairs = [limit.split() for limit in limits]
+    signs = ", ".join(f"{sign} {node[limit]:g}" for limit, sign in pairs if limit in node)
+    return f"{kind} {signs}".strip()
+
+
 def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list[str], list[str]]:
     """Return the keys that lead to a problem, and the keys that are allowed there (JSON Schema).
 

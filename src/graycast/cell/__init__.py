@@ -10,6 +10,8 @@ Each imports only from those above it:
     new_cell         a commented configuration for one part
     resolve          a configuration with its files' contents, shared by all scenes
     metering         the region of a picture from which a scanner meters its exposure
+    scanner_device   what a program calls of a scanner, and the frame that it receives
+    bag_scanner      the scanner of a ROS 2 bag, with the same calls
     simulate         one scene, from its seeds (`base.streams`) to its sample
     virtual_bin      a bin that lives on while its parts are lifted, shaken and replaced
     virtual_scanner  a cell as a device, with the calls that makers' Python classes have

@@ -1,7 +1,8 @@
 """A cell as a device, in the form of the Python classes of scanner makers.
 
-Leaves out: the time in which a real device projects, computes and transfers beyond exposures and
-read-out, and the exposure of the colour picture.
+Leaves out: the exposure of the colour picture, and the time in which a real device projects,
+computes and transfers beyond exposures and read-out. No rig file states the rate of a projector or
+a computing time; `claims.capture_s` of the shelf is a maker's time for a whole scan.
 """
 
 import time
@@ -17,57 +18,20 @@ from ..base.frames import inverse
 from ..base.public_value import public_value
 from ..base.streams import image_seeds
 from ..camera.picture import gray_picture
-from ..camera.rig_file import ScannerSections, with_sections
+from ..camera.rig_file import ScannerSections, SettingRange, setting_ranges, with_sections
 from ..camera.scanner import Scanner, scan_seconds
 from ..rendering import Renderer
 from ..rig.former_names import current_name
-from ..rig.optics import Optics, points
 from ..rig.pair import PRESETS
 from ..world.scene import bin_of
 from .config import Config, refuse_blind_code, resolve_scanner
 from .resolve import Cell, load_cell, open_cell_renderer
+from .scanner_device import ScannerFrame
 from .simulate import SceneImage, cell_seeds, images_of, take_image, varied
 from .views import hang
 from .virtual_bin import VirtualBin
 
 SETTABLE = ("code", "exposure", "decode", "filters")
-
-
-@public_value
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScannerFrame:
-    """The result of one trigger; maps are NaN where the scanner has no depth.
-
-    `index` counts the frames of the device from 0. `time_s` is the start of the frame on the
-    device's own clock, which starts at 0 and runs only while the device takes pictures.
-    `duration_s` is the time that a real device needs to take its `pictures`. `p_wrong` is None if
-    the decoder does not estimate it.
-    """
-
-    index: int
-    time_s: float
-    duration_s: float
-    pictures: int
-    camera: Optics
-    depth_m: arrays.FloatArray_h_w
-    sigma_m: arrays.FloatArray_h_w
-    p_wrong: arrays.FloatArray_h_w | None
-    reason: arrays.UInt8Array_h_w
-    gray: arrays.UInt8Array_h_w
-    rgb: arrays.UInt8Array_h_w_3
-
-    def __post_init__(self) -> None:
-        self.gray.flags.writeable = self.rgb.flags.writeable = False
-
-    @property
-    def points(self) -> arrays.FloatArray_h_w_3:
-        """Point of each pixel [m] in the camera frame; NaN without depth."""
-        return points(self.camera, self.depth_m)
-
-    @property
-    def K(self) -> arrays.FloatArray_3_3:
-        """Camera matrix; `camera.distortion` has the coefficients of the lens."""
-        return self.camera.K
 
 
 @public_value
@@ -184,6 +148,14 @@ class VirtualScanner:
         """
         self._connected()
         return self._settings
+
+    def setting_ranges(self) -> dict[str, SettingRange]:
+        """Return each key that `set` accepts, with its present value and the allowed values.
+
+        Raises:
+            ScannerError: the scanner is not connected.
+        """
+        return setting_ranges(self.settings, SETTABLE)
 
     def set(self, key: str, value: Any) -> None:
         """Change a setting, such as `exposure.factors` to `[1, 4]`.

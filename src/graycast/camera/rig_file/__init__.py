@@ -2,10 +2,17 @@
 
 from .opencv import import_opencv, missing_distortions
 from .own import load_scanner, named_scanner, save_scanner, scanner_text
-from .scanner_sections import ScannerSections, own_device, with_sections
+from .scanner_sections import (
+    ScannerSections,
+    SettingRange,
+    own_device,
+    setting_ranges,
+    with_sections,
+)
 
 __all__ = [
     "ScannerSections",
+    "SettingRange",
     "import_opencv",
     "load_scanner",
     "missing_distortions",
@@ -13,5 +20,6 @@ __all__ = [
     "own_device",
     "save_scanner",
     "scanner_text",
+    "setting_ranges",
     "with_sections",
 ]

@@ -3,12 +3,14 @@
 In a rig file an absent key has its default; in a configuration it keeps the value of the rig.
 """
 
-from dataclasses import MISSING, fields, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ...base.errors import ConfigError
+from ...base.public_value import public_value, unit_of
 from ...base.sections import changes_of, read_as
-from ...base.settings import Settings
+from ...base.settings import Settings, allowed_values
 from ...base.streams import device_seed
 from ...rig.pair import Rig
 from ...rig.pattern import Code, CodeSpec
@@ -114,3 +116,44 @@ def _changed(value: Spec, section: Settings, name: str) -> Spec:
         return replace(value, **settings)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
+
+
+@public_value
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SettingRange:
+    """The present value of a setting, and the values that it may have.
+
+    `allowed` states these values in words, and `schema` is their JSON Schema. A setting without a
+    unit has an empty `unit`. `set(key, None)` is always allowed.
+    """
+
+    value: Any
+    allowed: str
+    schema: Mapping[str, Any]
+    unit: str
+    description: str
+
+
+def setting_ranges(scanner: Scanner, names: Iterable[str]) -> dict[str, SettingRange]:
+    """Return the settings of some sections of a scanner by their keys, such as `exposure.target`.
+
+    A code has only the parameters of its codec, and a code of the user's own has no settings.
+    """
+    ranges = {}
+    for name in names:
+        spec = getattr(scanner, name)
+        if isinstance(spec, Code):
+            continue
+        keys = type(ScannerSections.model_fields[name].default).model_json_schema()["properties"]
+        for key, node in keys.items():
+            if isinstance(spec, CodeSpec) and key not in ("codec", *spec.parameters):
+                continue
+            schema = node["anyOf"][0]  # The other choice is null, for the value of the rig.
+            ranges[f"{name}.{key}"] = SettingRange(
+                value=getattr(spec, key),
+                allowed=allowed_values(schema),
+                schema=schema,
+                unit=unit_of(key),
+                description=node["description"],
+            )
+    return ranges

@@ -16,13 +16,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from ...base.errors import GraycastError
+from ...base.errors import GraycastError, ScannerError
 from ..read.stored import StoredDataset, StoredScene
 from .clouds import color_image, packed_color, point_image
 from .options import Options
-from .stored_truth import camera_pose, instance_numbers, part_poses
+from .stored_truth import camera_pose, exposure_times, instance_numbers, part_poses
 
 try:
+    from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.interfaces import (
         Connection,
         Qos,
@@ -41,7 +42,10 @@ except ImportError as error:
 
 FIRST_S = 946_684_800  # The first picture is of 2000-01-01 00:00 UTC; time 0 means "none" in ROS.
 _VERSION = 8  # ROS 2 from Humble on reads this version of `metadata.yaml`.
-_TF = "/tf_static"
+POSES, TRUTH = "/tf_static", "/truth"  # All scanners share these. The topics below are a scanner's.
+COLOR, COLOR_INFO = "color/image_raw", "color/camera_info"
+DEPTH, DEPTH_INFO, POINTS = "depth/image_raw", "depth/camera_info", "points"
+GRAY, REASON, EXPOSURES = "gray/image_raw", "reason", "exposures"
 _FLOAT32 = 7  # sensor_msgs/PointField
 
 
@@ -49,7 +53,7 @@ def write_sqlite3(
     folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
     """Write the bag `SPLIT`, with `SPLIT.db3` and `metadata.yaml`."""
-    _fill(Writer(folder / split, version=_VERSION), scenes, options)
+    _fill(Writer(folder / split, version=_VERSION), scenes, stored, options)
 
 
 def write_mcap(
@@ -58,12 +62,14 @@ def write_mcap(
     """Write the bag `SPLIT`, with `SPLIT.mcap` in compressed chunks and `metadata.yaml`."""
     writer = Writer(folder / split, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    _fill(writer, scenes, options)
+    _fill(writer, scenes, stored, options)
 
 
-def _fill(writer: "Writer", scenes: Iterable[StoredScene], options: Options) -> None:
+def _fill(
+    writer: "Writer", scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+) -> None:
     with writer:
-        bag = _Bag(writer=writer)
+        bag = _Bag(writer=writer, stored=stored)
         for number, scene in enumerate(scenes):
             bag.add_pose(scene, FIRST_S + number)
             for topic, message in bag.messages(scene, options, FIRST_S + number):
@@ -80,11 +86,32 @@ def _quality(*, latched: bool) -> "Qos":
     )  # fmt: skip
 
 
+def open_bag(path: Path) -> "AnyReader":
+    """Open a bag for reading.
+
+    Args:
+        path: the folder of a bag, or its `.mcap` or `.db3` file.
+
+    Raises:
+        ScannerError: the bag cannot be read.
+    """
+    try:
+        reader = AnyReader([path])
+        reader.open()
+    except (AnyReaderError, OSError) as error:
+        raise ScannerError(
+            f"{path}: is no bag that can be read ({error}): give the folder of a set in an export, "
+            "such as out/bag/train"
+        ) from error
+    return reader
+
+
 @dataclass(slots=True, kw_only=True)
 class _Bag:
     """An open bag, its topics, and the last pose of each scanner."""
 
     writer: "Writer"
+    stored: StoredDataset
     types: Any = field(default_factory=lambda: get_typestore(Stores.ROS2_HUMBLE))
     topics: dict[str, "Connection"] = field(default_factory=dict)
     poses: dict[str, bytes] = field(default_factory=dict)
@@ -96,7 +123,7 @@ class _Bag:
     def write(self, topic: str, message: Any, time_ns: int) -> None:
         kind = message.__msgtype__
         if topic not in self.topics:
-            quality = [_quality(latched=topic == _TF)]
+            quality = [_quality(latched=topic == POSES)]
             self.topics[topic] = self.writer.add_connection(
                 topic, kind, typestore=self.types, offered_qos_profiles=quality
             )
@@ -114,11 +141,11 @@ class _Bag:
         transform = self.make(
             "geometry_msgs/TransformStamped",
             self.header("world", time_s),
-            _frame(scene),
+            optical_frame(namespace(scene.sensor)),
             self.make("geometry_msgs/Transform", *self.placement("Vector3", T_world_cam)),
         )
         message = self.make("tf2_msgs/TFMessage", [transform])
-        self.write(_TF, message, time_s * 10**9 - 5 * 10**8)
+        self.write(POSES, message, time_s * 10**9 - 5 * 10**8)
 
     def placement(self, kind: str, T: Float[np.ndarray, "4 4"]) -> tuple[Any, Any]:
         """Return a translation of some kind and a quaternion."""
@@ -132,29 +159,38 @@ class _Bag:
         self, scene: StoredScene, options: Options, time_s: int
     ) -> Iterator[tuple[str, Any]]:
         """Yield the topics and messages of a picture, as far as the dataset has their data."""
-        name, header = _namespace(scene), self.header(_frame(scene), time_s)
+        name = namespace(scene.sensor)
+        header = self.header(optical_frame(name), time_s)
         info, color = self.camera_info(scene, header), color_image(scene, options)
         if color is not None:
             gray = options.image == "gray"
             picture, encoding = (color[..., 0], "mono8") if gray else (color, "rgb8")
-            yield f"{name}/color/camera_info", info
-            yield f"{name}/color/image_raw", self.image(picture, encoding, header)
+            yield f"{name}/{COLOR_INFO}", info
+            yield f"{name}/{COLOR}", self.image(picture, encoding, header)
+        if options.image != "gray" and "gray_sl" in scene.holds:
+            yield f"{name}/{GRAY}", self.image(scene.picture("gray_sl"), "mono8", header)
         if options.depths:  # If there are both depths, the scanner's is the second.
             depth_m = scene.depth_m(options.depths[-1])
-            yield f"{name}/depth/camera_info", info
-            yield f"{name}/depth/image_raw", self.image(depth_m, "32FC1", header)
-            p_wrong = scene.p_wrong() if options.depths[-1] == "depth_sl" else None
+            yield f"{name}/{DEPTH_INFO}", info
+            yield f"{name}/{DEPTH}", self.image(depth_m, "32FC1", header)
+            measured = options.depths[-1] == "depth_sl"
+            p_wrong = scene.p_wrong() if measured else None
             fields = {"xyz": point_image(scene, depth_m)}
             fields |= {} if color is None else {"rgb": packed_color(color)}
             fields |= {} if p_wrong is None else {"p_wrong": p_wrong}
-            yield f"{name}/points", self.cloud(fields, header)
+            yield f"{name}/{POINTS}", self.cloud(fields, header)
+            if measured and not scene.real:
+                yield f"{name}/{REASON}", self.image(scene.picture("reason_sl"), "8UC1", header)
+        if (times_s := exposure_times(scene, self.stored)) is not None:
+            layout = self.make("std_msgs/MultiArrayLayout", [], 0)
+            yield f"{name}/{EXPOSURES}", self.make("std_msgs/Float64MultiArray", layout, times_s)
         if len(options.depths) == 2:
             depth_m = scene.depth_m(options.depths[0])
-            yield f"/truth{name}/depth/image_raw", self.image(depth_m, "32FC1", header)
+            yield f"{TRUTH}{name}/{DEPTH}", self.image(depth_m, "32FC1", header)
         yield from self.truth(scene, header)
 
     def truth(self, scene: StoredScene, header: Any) -> Iterator[tuple[str, Any]]:
-        name = f"/truth{_namespace(scene)}"
+        name = f"{TRUTH}{namespace(scene.sensor)}"
         if "masks" in scene.holds:
             yield f"{name}/instances", self.image(instance_numbers(scene), "16UC1", header)
             layout = self.make("std_msgs/MultiArrayLayout", [], 0)
@@ -200,10 +236,11 @@ class _Bag:
         )  # fmt: skip
 
 
-def _namespace(scene: StoredScene) -> str:
-    """Return the scanner's namespace; ROS does not allow hyphens."""
-    return "/" + (scene.sensor.replace("-", "_") or "scanner")
+def namespace(sensor: str) -> str:
+    """Return a scanner's namespace; ROS does not allow hyphens."""
+    return "/" + (sensor.replace("-", "_") or "scanner")
 
 
-def _frame(scene: StoredScene) -> str:
-    return f"{_namespace(scene)[1:]}_optical_frame"
+def optical_frame(space: str) -> str:
+    """Return the name of the camera frame of the scanner with a namespace."""
+    return f"{space[1:]}_optical_frame"

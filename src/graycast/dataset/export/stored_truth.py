@@ -1,12 +1,13 @@
-"""Poses and masks of a stored image as arrays, for the exports of what a camera would publish."""
+"""Values of a stored image as arrays, for the exports of what a camera would publish."""
 
 import numpy as np
 from jaxtyping import Float, UInt16
 from pycocotools import mask as coco_mask
 
 from ...base.frames import inverse
+from ...rig.pattern import CodeSpec
 from ..read.example import pose_m
-from ..read.stored import StoredScene
+from ..read.stored import StoredDataset, StoredScene
 
 
 def camera_pose(scene: StoredScene) -> Float[np.ndarray, "4 4"] | None:
@@ -29,3 +30,20 @@ def instance_numbers(scene: StoredScene) -> UInt16[np.ndarray, "h w"]:
     for label in scene.labels():
         numbers[coco_mask.decode(label.segmentation) == 1] = label.instance + 1
     return numbers
+
+
+def exposure_times(scene: StoredScene, stored: StoredDataset) -> Float[np.ndarray, " n"] | None:
+    """Return the exposure time [s] of each picture of the stack; None if it is unknown."""
+    taker, manifest = stored.taker(scene.sensor), scene.manifest()
+    code = taker.get("scanner", {}).get("code")
+    if code is None or "exposure_s" not in manifest:
+        return None  # Real pictures state neither.
+    factors, times_s = taker["scanner"]["exposure"]["factors"], [manifest["exposure_s"]]
+    if len(factors) > 1:
+        times_s = [factor * manifest["exposure_s"] for factor in factors]
+    frames = code.get("frames")  # Only a code of the user's own lists them.
+    if frames is None:
+        projector = taker["rig"]["projector"]
+        spec = CodeSpec(**code | {"axes": tuple(code["axes"])})
+        frames = spec.code(projector["width_px"], projector["height_px"]).frames
+    return np.tile(manifest.get("exposures_s", times_s), len(frames))

@@ -71,11 +71,16 @@ class CodeSpec:
         check_fields(self)
         if self.codec not in _MAKERS:
             raise ValueError(f"no codec {self.codec!r}: choose one of {', '.join(CODECS)}")
-        taken = inspect.signature(_MAKERS[self.codec]).parameters
-        foreign = [name for name in self._settings() if name not in taken]
+        foreign = [name for name in self._settings() if name not in self.parameters]
         if foreign:
-            theirs = ", ".join(name for name in taken if name not in ("width_px", "height_px"))
+            theirs = ", ".join(self.parameters)
             raise ValueError(f"{self.codec} has no {foreign[0]}; it takes {theirs}")
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The names of the parameters that the codec has."""
+        own = inspect.signature(_MAKERS[self.codec]).parameters
+        return tuple(name for name in own if name not in ("width_px", "height_px"))
 
     def code(self, width_px: int, height_px: int) -> Code:
         """Make the code for a projector of a given size.

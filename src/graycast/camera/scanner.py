@@ -28,6 +28,7 @@ from .decode import (
     decode,
     filter_depth,
     levels_of,
+    take_back,
     triangulate,
     triangulation_axis,
     without_doubt,
@@ -219,7 +220,11 @@ def scan_seconds(capture: Capture, *, readout_s: float) -> float:
 
 
 def measure(
-    scanner: Scanner, capture: Capture, *, path_noise: PathNoise | None
+    scanner: Scanner,
+    capture: Capture,
+    *,
+    path_noise: PathNoise | None,
+    T_then_now: arrays.FloatArray_n_4_4 | None = None,
 ) -> tuple[CodeMap, DepthMap]:
     """Decode simulated pictures to positions and depth, with the scanner's filters and faults.
 
@@ -228,8 +233,11 @@ def measure(
 
     Args:
         path_noise: `path_noise` of the radiance from which the pictures were taken.
+        T_then_now: the known motion of the scene, as in `take_back`; None: it did not move.
     """
     rig, code = scanner.rig, scanner.light_code()
+    if T_then_now is not None:
+        capture = replace(capture, frames=take_back(capture.frames, code, rig, T_then_now))
     codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
     codes, depth = without_doubt(
         codes,

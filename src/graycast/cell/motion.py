@@ -79,6 +79,11 @@ class MotionSection(Settings):
         description="The picture, counted from 0 over all exposures, in the middle of which the "
         "parts have the poses of the ground truth. Without this key, it is the middle picture.",
     )
+    compensate: bool = Field(
+        default=False,
+        description="Whether the decoder knows the motion and takes the pictures back to the time "
+        "of the ground truth. It needs one exposure, and seconds to minutes for a scan.",
+    )
     render_px: Positive = Field(
         default=0.25,
         description="The largest motion of the picture between two renders, in pixels of the "

@@ -18,6 +18,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..base import array_types as arrays
+from ..base.errors import ConfigError
+from ..base.frames import inverse
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..camera.exposure import ExposureTimes
 from ..camera.light import camera_light
@@ -89,6 +91,7 @@ class MovingLight:
         self._patterns, self._motion, self._progress = patterns, motion, progress
         self._quality, self._seed = quality, seed
         self.record: dict[str, Any] = {}
+        self._line: Timeline | None = None
 
     def __call__(self, times: ExposureTimes) -> list[SensorLight]:
         """Render the scene at several times, and return the light of each exposure.
@@ -98,6 +101,7 @@ class MovingLight:
             ValueError: see `Renderer.render`.
         """
         line = timeline(self._motion, times, len(self._patterns))
+        self._line = line
         plan = _plan(self._scene, self._motion, line)
         exposures, frames = line.start_s.shape
         camera = self._scene.rig.camera
@@ -120,6 +124,23 @@ class MovingLight:
             "renders": len(plan.time_s),
         }
         return [SensorLight(*light) for light in zip(stack, background, strict=True)]
+
+    def transforms(self) -> arrays.FloatArray_n_4_4 | None:
+        """Return `T_then_now` of `take_back` for the last scan; None without compensation.
+
+        Raises:
+            ConfigError: the scan has several exposures.
+        """
+        if not self._motion.compensate or self._line is None:
+            return None
+        if len(self._line.duration_s) > 1:
+            raise ConfigError(
+                f"motion.compensate needs one exposure, and the scan has "
+                f"{len(self._line.duration_s)}: set exposure.factors to [1]"
+            )
+        T = self._scene.T_world_cam
+        poses = [pose_at(T, self._motion, float(t)) for t in self._line.middle_s[0]]
+        return np.stack([inverse(pose) @ T for pose in poses])
 
     def _light_at(self, time_s: float, shown: Int[np.ndarray, " k"]) -> tuple[Any, Any]:
         """Return the light of some patterns, and all other light, as in `camera_light`."""

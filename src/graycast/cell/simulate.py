@@ -273,7 +273,12 @@ def take_image(
             seed=seeds["picture"],
         )
     with _timed(timings, "decode"):
-        codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
+        codes, depth = measure(
+            scanner,
+            capture,
+            path_noise=rendering.radiance.path_noise,
+            T_then_now=None if moving is None else moving.transforms(),
+        )
     return SceneImage(
         rendering=rendering,
         capture=capture,

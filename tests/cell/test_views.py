@@ -8,7 +8,7 @@ from graycast.base.errors import ConfigError, GraycastError
 from graycast.base.frames import axis_rotation, inverse, is_rigid, rigid
 from graycast.base.streams import OF_IMAGE, image_seeds, scene_seeds
 from graycast.cell.config import load_config
-from graycast.cell.resolve import eyes, reach_m, refuse_several, resolve_cell
+from graycast.cell.resolve import eyes, reach_m, require_one_still_image, resolve_cell
 from graycast.rig.pair import frame_in_camera
 from graycast.world.scene import bin_of
 
@@ -258,6 +258,6 @@ def test_the_error_for_a_wrong_view_is_one_line_that_names_the_view(tmp_path, na
 
 def test_functions_for_one_image_refuse_a_cell_with_several_images(tmp_path):
     one, two = resolved(tmp_path), resolved(tmp_path, views=[{}, {"tilt_deg": 10}])
-    refuse_several(one, "graycast rig design")
+    require_one_still_image(one, "graycast rig design")
     with pytest.raises(ConfigError, match="graycast rig design takes one image of a scene: remove"):
-        refuse_several(two, "graycast rig design")
+        require_one_still_image(two, "graycast rig design")

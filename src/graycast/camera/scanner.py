@@ -4,7 +4,7 @@ The functions `take` and `measure` together compute depth from light.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,11 +28,12 @@ from .decode import (
     decode,
     filter_depth,
     levels_of,
+    take_back,
     triangulate,
     triangulation_axis,
     without_doubt,
 )
-from .exposure import ExposureSpec, exposure_times
+from .exposure import ExposureSpec, ExposureTimes, exposure_times
 from .faults import FaultSpec, with_faults
 from .light import camera_light
 from .line_noise import with_line_noise
@@ -48,6 +49,7 @@ from .sigma import (
 )
 from .speckle import (
     PATCH_M,
+    Speckle,
     draw_speckle,
     footprint_px,
     material_contrast,
@@ -118,12 +120,22 @@ def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
     return Scan(capture=capture, codes=codes, depth=depth)
 
 
+@dataclass(frozen=True, slots=True)
+class SensorLight:
+    """Light on the sensor in one exposure [W sr^-1 m^-2]: the projector's in each frame, and the
+    rest, which is the same in all frames unless the scene moves."""
+
+    stack: arrays.FloatArray_n_h_w
+    background: arrays.FloatArray_h_w | arrays.FloatArray_n_h_w
+
+
 def take(
     scanner: Scanner,
     radiance: Radiance,
     *,
     seed: int,
     metered: arrays.BoolArray_h_w | None = None,
+    light_of: Callable[[ExposureTimes], Sequence[SensorLight]] | None = None,
 ) -> Capture:
     """Return the measuring camera's stack: one picture per pattern, with exposures merged.
 
@@ -132,57 +144,61 @@ def take(
     Args:
         metered: mask of the pixels from which `exposure.auto` chooses its times, like a user's
             region of interest; None means all pixels. Ignored without `exposure.auto`.
+        light_of: returns the light of each exposure of a moving scene, of which `radiance` is the
+            state that sets the exposure times; None: nothing moves.
 
     Raises:
         ValueError: the scene is dark, or its light is not finite.
     """
-    stack, background = camera_light(radiance, scanner.rig)
+    still = SensorLight(*camera_light(radiance, scanner.rig))
     exposure = scanner.exposure
-    white = stack[scanner.light_code().brightest] + background
+    white = still.stack[scanner.light_code().brightest] + still.background
     if exposure.auto and metered is not None:
         white = white[metered]
     times = exposure_times(white.ravel(), scanner.sensor, exposure)
+    lights = [still] if light_of is None else [*light_of(times)]
     if scanner.rig.speckle_contrast:
-        reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
-        contrast = _of_black(scanner) * material_contrast(reflectance, scanner.rig.speckle_volume)
-        if scanner.rig.speckle_unevenness:
-            contrast = uneven(
-                contrast,
-                scanner.rig.speckle_unevenness,
-                patch_px=_in_picture_px(scanner.rig, PATCH_M),
-                seed=seed,
-            )
-        stack = speckled(
-            stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
-        )
+        speckle = _speckle(scanner, radiance, seed)
+        lights = [replace(light, stack=speckled(light.stack, speckle)) for light in lights]
+    if light_of is None:
+        lights = lights * len(times.times_s)
     seeds = np.random.SeedSequence(seed).generate_state(len(times.times_s), np.uint64)
-    stack_of = _pictures(scanner, radiance, stack)
     capture = merge_exposures(
         [
             expose(
-                stack_of(int(own)),
-                background,
+                _with_new_lines(scanner, radiance, light.stack, seed=int(own)),
+                light.background,
                 scanner.sensor,
                 exposure_s=time_s,
                 seed=int(own),
             )
-            for time_s, own in zip(times.times_s, seeds, strict=True)
+            for light, time_s, own in zip(lights, times.times_s, seeds, strict=True)
         ]
     )
     return replace(capture, reference_s=times.reference_s, times_s=times.times_s)
 
 
-def _pictures(
-    scanner: Scanner, radiance: Radiance, stack: Float[np.ndarray, "n h w"]
-) -> Callable[[int], Float[np.ndarray, "n h w"]]:
-    """Return a function that maps a seed to the light of one exposure.
+def _speckle(scanner: Scanner, radiance: Radiance, seed: int) -> Speckle:
+    """Return the speckle of a scan, whose contrast depends on the surface at each pixel."""
+    reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
+    contrast = _of_black(scanner) * material_contrast(reflectance, scanner.rig.speckle_volume)
+    if scanner.rig.speckle_unevenness:
+        contrast = uneven(
+            contrast,
+            scanner.rig.speckle_unevenness,
+            patch_px=_in_picture_px(scanner.rig, PATCH_M),
+            seed=seed,
+        )
+    return draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
 
-    The projector's lines have new random errors in each exposure.
-    `stack` is the light of the patterns on the sensor, without these errors.
-    """
+
+def _with_new_lines(
+    scanner: Scanner, radiance: Radiance, stack: Float[np.ndarray, "n h w"], *, seed: int
+) -> Float[np.ndarray, "n h w"]:
+    """Return the light of one exposure, with the errors that the projector's lines have in it."""
     share = scanner.rig.line_noise
     if not share:
-        return lambda seed: stack
+        return stack
     if radiance.place_px is None:
         raise ValueError(
             f"rig {scanner.rig.name} has line_noise {share:g}, which needs the place in the "
@@ -192,9 +208,7 @@ def _pictures(
     axis = triangulation_axis(scanner.rig)
     place_px = radiance.place_px[AXES.index(axis)]
     length_px = _in_picture_px(scanner.rig, scanner.rig.line_noise_length_m)
-    return lambda seed: with_line_noise(
-        stack, place_px, share, axis=axis, length_px=length_px, seed=seed
-    )
+    return with_line_noise(stack, place_px, share, axis=axis, length_px=length_px, seed=seed)
 
 
 def scan_seconds(capture: Capture, *, readout_s: float) -> float:
@@ -206,7 +220,11 @@ def scan_seconds(capture: Capture, *, readout_s: float) -> float:
 
 
 def measure(
-    scanner: Scanner, capture: Capture, *, path_noise: PathNoise | None
+    scanner: Scanner,
+    capture: Capture,
+    *,
+    path_noise: PathNoise | None,
+    T_then_now: arrays.FloatArray_n_4_4 | None = None,
 ) -> tuple[CodeMap, DepthMap]:
     """Decode simulated pictures to positions and depth, with the scanner's filters and faults.
 
@@ -215,8 +233,11 @@ def measure(
 
     Args:
         path_noise: `path_noise` of the radiance from which the pictures were taken.
+        T_then_now: the known motion of the scene, as in `take_back`; None: it did not move.
     """
     rig, code = scanner.rig, scanner.light_code()
+    if T_then_now is not None:
+        capture = replace(capture, frames=take_back(capture.frames, code, rig, T_then_now))
     codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
     codes, depth = without_doubt(
         codes,

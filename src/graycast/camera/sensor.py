@@ -208,7 +208,7 @@ def auto_exposure_s(
 
 def expose(
     radiance: Float[np.ndarray, "n h w"],
-    background: Float[np.ndarray, "h w"] | None,
+    background: Float[np.ndarray, "h w"] | Float[np.ndarray, "n h w"] | None,
     sensor: SensorSpec,
     *,
     exposure_s: float,
@@ -218,7 +218,7 @@ def expose(
 
     Args:
         radiance: one image per frame [W sr^-1 m^-2].
-        background: light that is added to every frame [W sr^-1 m^-2].
+        background: light that is added to every frame, or one image per frame [W sr^-1 m^-2].
         seed: seed of the noise, which is independent between frames and pixels.
 
     Raises:
@@ -226,6 +226,8 @@ def expose(
 
     Source: EMVA Standard 1288, release 4.0, linear camera model.
     """
+    if background is not None and background.ndim == 3:
+        radiance, background = radiance + background, None
     if not 0 < exposure_s < math.inf:
         raise ValueError(f"exposure_s is {exposure_s}; it must be positive")
     if not 0 <= radiance.min() <= radiance.max() < math.inf:  # Also False for NaN

@@ -156,16 +156,18 @@ class Cell:
         )
 
 
-def refuse_several(cell: Cell, who: str) -> None:
-    """Refuse a cell with several images per scene in a stage that takes only one.
+def require_one_still_image(cell: Cell, who: str) -> None:
+    """Refuse a cell with several images per scene, or with motion, in a stage without either.
 
     Raises:
-        ConfigError: the configuration asks for several images.
+        ConfigError: the configuration asks for several images or for motion.
     """
     if cell.config.views is not None or cell.config.scanners is not None:
         raise ConfigError(
             f"{who} takes one image of a scene: remove views and scanners, and say view and rig"
         )
+    if cell.config.motion is not None:
+        raise ConfigError(f"{who} needs a cell in which nothing moves: remove motion")
 
 
 def patterns_of(scanner: Scanner) -> UInt8[np.ndarray, "n ph pw"]:

@@ -32,6 +32,7 @@ from ..world.scene import Layout, Scene, bin_of
 from .config import Config, resolve_quality
 from .domain import Variation, draw, moved_place, vary
 from .metering import metered_region
+from .moving_light import MovingLight
 from .resolve import Cell, Eye, eyes, free_scanners, patterns_of
 from .views import refuse_inside
 
@@ -77,6 +78,7 @@ class SceneImage:
     rgb: UInt8[np.ndarray, "h w 3"]
     codes: CodeMap
     depth: DepthMap
+    motion: dict[str, Any] | None  # The times of the pictures and the number of renders
 
 
 def make_scene(
@@ -197,6 +199,7 @@ def _taken(
         },
         "exposure_s": capture.reference_s,
         **({"exposures_s": list(capture.times_s)} if scanner.exposure.auto else {}),
+        **({} if image.motion is None else {"motion": image.motion}),
         "reasons": reason_shares(depth.reason),
         "part_reasons": reason_shares(depth.reason[on_part(scene, layout, rendering.truth)]),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
@@ -249,9 +252,17 @@ def take_image(
         rendering = renderer.render(
             scene, layout, patterns_of(scanner), quality=quality, seed=seeds["render"]
         )
+    moving = None
+    if config.motion is not None:
+        moving = MovingLight(
+            renderer, scene, layout, patterns_of(scanner), config.motion,
+            quality=quality, seed=seeds["render"], progress=progress,
+        )  # fmt: skip
     with _timed(timings, "sensor"):
         metered = metered_region(scene, scanner.exposure)
-        capture = take(scanner, rendering.radiance, seed=seeds["noise"], metered=metered)
+        capture = take(
+            scanner, rendering.radiance, seed=seeds["noise"], metered=metered, light_of=moving
+        )
     progress.stage("decoding the pictures")
     with _timed(timings, "picture"):
         noisy = config.render.denoise and quality.denoise == "none"
@@ -262,8 +273,20 @@ def take_image(
             seed=seeds["picture"],
         )
     with _timed(timings, "decode"):
-        codes, depth = measure(scanner, capture, path_noise=rendering.radiance.path_noise)
-    return SceneImage(rendering=rendering, capture=capture, rgb=rgb, codes=codes, depth=depth)
+        codes, depth = measure(
+            scanner,
+            capture,
+            path_noise=rendering.radiance.path_noise,
+            T_then_now=None if moving is None else moving.transforms(),
+        )
+    return SceneImage(
+        rendering=rendering,
+        capture=capture,
+        rgb=rgb,
+        codes=codes,
+        depth=depth,
+        motion=None if moving is None else moving.record,
+    )
 
 
 def own_record(cell: Cell) -> dict[str, Any]:

@@ -269,7 +269,7 @@ def _scans(path: Path, options: argparse.Namespace) -> Iterator:
 
 def _twin(options: argparse.Namespace) -> int:
     from ..cell.config import load_config
-    from ..cell.resolve import refuse_several
+    from ..cell.resolve import require_one_still_image
     from ..real.fitted_config import refuse_existing, refuse_there
     from ..real.picture_pairs import read_rgb
     from ..real.realism import read_scans
@@ -278,7 +278,7 @@ def _twin(options: argparse.Namespace) -> int:
     refuse_existing(options.out, options.config)
     refuse_there(*files_of(options.out))
     cell = resolve_config(load_config(options.config), options.config, options.config.parent)
-    refuse_several(cell, "graycast real twin")
+    require_one_still_image(cell, "graycast real twin")
     files = file_options(options)
     if files.K is None:
         files = replace(files, K=cell.scanner.rig.camera.K)
@@ -308,7 +308,7 @@ def _twin(options: argparse.Namespace) -> int:
 
 def _fit_bin(options: argparse.Namespace) -> int:
     from ..cell.config import load_config
-    from ..cell.resolve import refuse_several, resolve_cell
+    from ..cell.resolve import require_one_still_image, resolve_cell
     from ..real.fit_bin import (
         azimuth_of,
         empty_view,
@@ -347,7 +347,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
     known = options.wall or ("wall_m" in config.bin.model_fields_set and options.inner is None)
     config = config.model_copy(update={"bin": config.bin.model_copy(update=size)})
     cell = resolve_cell(config, options.config.parent)
-    refuse_several(cell, "graycast real fit-bin")
+    require_one_still_image(cell, "graycast real fit-bin")
     views = read_views(
         options.views,
         rgb=options.rgb or [],

@@ -8,6 +8,7 @@ positions      from all frames to positions; each pixel is decoded or gets a rea
 settling       ambiguous periods, which neighbours resolve
 visibility     pixels that a nearer surface must hide
 separation     direct and global light
+taken_back     pictures of a moving scene, taken back to one time
 meeting        intersections of camera rays and projector planes, compiled
 field          pixels that the projector's picture cannot reach
 triangulation  from positions to depth
@@ -40,6 +41,7 @@ from .reasons import (
     reason_shares,
 )
 from .separation import separate
+from .taken_back import take_back
 from .triangulation import (
     epipolar_residual_px,
     meet_planes,
@@ -71,6 +73,7 @@ __all__ = [
     "reason_counts",
     "reason_shares",
     "separate",
+    "take_back",
     "triangulate",
     "triangulation_axis",
     "without_doubt",

@@ -14,7 +14,7 @@ from ...base.frames import inverse, transform_points
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...cell.config import Config, load_config, resolve_bin, resolve_scanner
 from ...cell.generate import described_scanner
-from ...cell.resolve import Cell, file_digests, refuse_several, resolve_cell
+from ...cell.resolve import Cell, file_digests, require_one_still_image, resolve_cell
 from ...cell.views import hang
 from ...dataset.write.claim import described_values
 from ...rig.pair import PRESETS, Rig, aimed, standoff_m
@@ -119,7 +119,7 @@ def place_settings(
         )
     try:
         base = resolve_cell(config, spec.cell.parent, progress=progress)
-        refuse_several(base, "graycast rig design")
+        require_one_still_image(base, "graycast rig design")
     except (GraycastError, ValueError, OSError) as error:
         raise ConfigError(f"{spec.cell}: {error}") from error
     placed, impossible = [], []

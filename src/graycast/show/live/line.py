@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from ...base.errors import ConfigError
 from ...base.progress import Stages
 from ...camera.picture import color_light, developed
 from ...camera.scanner import measure, take
@@ -153,6 +154,11 @@ class Line:
 
         Files are compared by content, because a file can change without a change of its name.
         """
+        if config.motion is not None:
+            raise ConfigError(
+                "the page shows a cell in which nothing moves: remove motion, or make scenes of it "
+                "with graycast generate"
+            )
         key = _light_key(config, self._folder, self._files(config))
         if self._cell is not None and self._cell[0] == key:
             scanner = resolve_scanner(config, self._folder)

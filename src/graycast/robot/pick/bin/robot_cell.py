@@ -11,7 +11,7 @@ from ....base.errors import ConfigError
 from ....base.frames import axis_rotation, rigid
 from ....base.progress import UNWATCHED, ProgressMeter
 from ....base.public_value import public_value
-from ....cell.resolve import Cell, refuse_several, resolve_cell
+from ....cell.resolve import Cell, require_one_still_image, resolve_cell
 from ....dataset.read.detections import WEIGHTS
 from ....world.scene import Bin, bin_of
 from ..arm.arms import ARMS
@@ -75,7 +75,7 @@ def resolve_pick_cell(
     cell = PickCell(
         cell=resolve_cell(config, folder, progress=progress), config=config, folder=folder
     )
-    refuse_several(cell.cell, "graycast robot pick")
+    require_one_still_image(cell.cell, "graycast robot pick")
     if cell.detector is not None and not cell.detector.exists():
         raise ConfigError(
             f"picking.detector: no folder {cell.detector}: give a folder that graycast detector "

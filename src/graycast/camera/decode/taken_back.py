@@ -1,0 +1,313 @@
+"""Take the pictures of a scene that moved rigidly in a known way back to one time.
+
+The pictures of a moving scene show a surface point at different pixels and in different places of
+the projector's picture. For each pixel of the reference time, depths of the working range are
+tried. Each depth says where the point was in every picture, and which light it then received. The
+depth is taken whose light correlates best with the pictures. Then each picture is changed by the
+difference between the light at the reference time and the light that the point received, so that
+the result is a stack of a scene at rest, with the deviations of the real pictures from the pattern.
+Any decoder can read it, and still finds what contradicts.
+
+Leaves out: points that another surface hides in some of the pictures, and surfaces that are bright
+only from some directions; their pictures contradict.
+"""
+
+import math
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...base import array_types as arrays
+from ...base.errors import DecodeError
+from ...base.frames import inverse, transform_points
+from ...base.kernels import kernel
+from ...rig.optics import picture_rays, project, rays
+from ...rig.pair import Rig
+from ...rig.pattern import AXES, Axis, Code
+
+STEP_PX = 2.0  # Motion of the projector's place between two depths that are tried
+GRID = 9  # Displacements are exact at this many rows, columns and depths, and are interpolated.
+
+
+def take_back(
+    frames: arrays.UInt8or16Array_n_h_w,
+    code: Code,
+    rig: Rig,
+    T_then_now: arrays.FloatArray_n_4_4,
+) -> arrays.UInt8or16Array_n_h_w:
+    """Return the pictures that a scene at rest would have given at the reference time.
+
+    A pixel whose point is outside one of the pictures at every depth is 0 in all of them.
+
+    Args:
+        T_then_now: for each frame, the transform from the camera's coordinates of a surface point
+            at the reference time to those at the time of the frame.
+
+    Raises:
+        DecodeError: the numbers of frames and poses differ.
+    """
+    if not len(frames) == len(code.frames) == len(T_then_now):
+        raise DecodeError(
+            f"there are {len(frames)} frames and {len(T_then_now)} poses, and the code has "
+            f"{len(code.frames)} frames: give one frame and one pose for each"
+        )
+    stack = np.ascontiguousarray(frames)
+    shift, (level, of_axis) = _shifts(rig, T_then_now), _light(code)
+    ray = picture_rays(rig.camera)
+    nearness = _nearness(rig, ray)
+    score = np.zeros(ray.shape[:2], dtype=np.float32)
+    best = np.full(ray.shape[:2], -1.0, dtype=np.float32)
+    for near in nearness.tolist():
+        place = _places(rig, ray, near)
+        _correlate(stack, shift, np.float32(near), place, level, of_axis, score, best)
+    result = np.zeros_like(stack)
+    place = _places(rig, ray, best)
+    finest, group = _finest_period(code), _groups(code)
+    _give_back(stack, shift, best, place, level, of_axis, *finest, group, result)
+    return result
+
+
+def _depth_m(rig: Rig, near):
+    """Return the depth for a nearness of 0, the far end of the range, to 1, the near end."""
+    return 1 / (1 / rig.far_m + near * (1 / rig.near_m - 1 / rig.far_m))
+
+
+def _nearness(rig: Rig, ray) -> Float[np.ndarray, " depths"]:
+    """Return nearnesses between which the projector's place moves by at most `STEP_PX`."""
+    far, near = (_places(rig, ray[::16, ::16], end) for end in (0.0, 1.0))
+    return np.linspace(0, 1, math.ceil(float(np.nanmax(np.abs(far - near))) / STEP_PX) + 1)
+
+
+def _places(rig: Rig, ray, near) -> Float[np.ndarray, "2 h w"]:
+    """Return the projector's column and row that light each pixel at a depth."""
+    point_m = ray * np.asarray(_depth_m(rig, near))[..., None]
+    at = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point_m))
+    return np.ascontiguousarray(np.moveaxis(at, -1, 0), dtype=np.float32)
+
+
+def _shifts(rig: Rig, T_then_now) -> Float[np.ndarray, "n depths grid grid 4"]:
+    """Return each picture's motion of a pixel (x, y) and of a place (column, row)."""
+    camera = rig.camera
+    x, y = (np.linspace(0, size - 1, GRID) for size in (camera.width_px, camera.height_px))
+    pixel = np.stack(np.meshgrid(x, y), axis=-1)
+    ray = rays(camera, pixel)
+    T_proj_cam = inverse(rig.T_cam_proj)
+    shift = np.empty((len(T_then_now), GRID, GRID, GRID, 4), dtype=np.float32)
+    for number, near in enumerate(np.linspace(0, 1, GRID)):
+        point_m = ray / ray[..., 2:] * _depth_m(rig, near)
+        before = project(rig.projector, transform_points(T_proj_cam, point_m))
+        for k, T in enumerate(T_then_now):
+            moved_m = transform_points(T, point_m)
+            shift[k, number, ..., :2] = project(camera, moved_m) - pixel
+            at = project(rig.projector, transform_points(T_proj_cam, moved_m))
+            shift[k, number, ..., 2:] = at - before
+    return shift
+
+
+def _light(code: Code):
+    """Return each frame's share of white at each projector pixel, and its axis (2: none)."""
+    level = np.zeros((len(code.frames), max(code.width_px, code.height_px)), dtype=np.float32)
+    of_axis = np.full(len(code.frames), 2)
+    for k, frame in enumerate(code.frames):
+        share = code.share(frame)
+        level[k, : len(share)], level[k, len(share) :] = share, share[-1]
+        if frame.axis is not None:
+            of_axis[k] = AXES.index(frame.axis)
+    return level, of_axis
+
+
+def _periods(code: Code, axis: Axis) -> dict[float, list[int]]:
+    """Return the frames of each period of an axis that has three or more steps."""
+    steps: dict[float, list[int]] = {}
+    for k, frame in enumerate(code.frames):
+        if frame.kind in ("phase", "line") and frame.axis == axis:
+            steps.setdefault(frame.period_px, []).append(k)
+    return {period: members for period, members in steps.items() if len(members) >= 3}
+
+
+def _groups(code: Code) -> Int[np.ndarray, " n"]:
+    """Return a number for the period of each frame; 0 for other frames."""
+    group = np.zeros(len(code.frames), dtype=np.int64)
+    every = (members for axis in AXES for members in _periods(code, axis).values())
+    for number, members in enumerate(every, start=1):
+        group[members] = number
+    return group
+
+
+def _finest_period(code: Code):
+    """Return, for each axis, the finest period with its frames, and their phases.
+
+    A row of the first array is the period and its frames, and -1 for the rest; the second array has
+    the phases.
+    """
+    frames, delta = np.full((2, 1 + len(code.frames)), -1.0), np.zeros((2, len(code.frames)))
+    for i, axis in enumerate(AXES):
+        if periods := _periods(code, axis):
+            members = periods[min(periods)]
+            frames[i, : 1 + len(members)] = min(periods), *members
+            for j, k in enumerate(members):
+                delta[i, j] = 2 * math.pi * code.frames[k].step / code.frames[k].steps
+    return frames, delta
+
+
+@kernel()
+def _in_row(shift, y, height):
+    """Return the displacements in a row, interpolated between the rows of the grid."""
+    n, depths, grid = shift.shape[:3]
+    at = y * (grid - 1) / max(height - 1, 1)
+    low = min(int(at), grid - 2)
+    t = np.float32(at - low)
+    out = np.empty((n, depths, grid, 4), dtype=np.float32)
+    for k in range(n):
+        for d in range(depths):
+            for g in range(grid):
+                for c in range(4):
+                    first, second = shift[k, d, low, g, c], shift[k, d, low + 1, g, c]
+                    out[k, d, g, c] = first + t * (second - first)
+    return out
+
+
+@kernel()
+def _at_nearness(row, near):
+    """Return the displacements of a row's grid at a nearness: (n, grid, 4)."""
+    at = near * np.float32(row.shape[1] - 1)
+    low = min(int(at), row.shape[1] - 2)
+    return row[:, low] + (at - np.float32(low)) * (row[:, low + 1] - row[:, low])
+
+
+@kernel()
+def _between(values, low, t, c):
+    """Return one displacement between two columns of the grid."""
+    return values[low, c] + t * (values[low + 1, c] - values[low, c])
+
+
+@kernel()
+def _value(picture, x, y):
+    """Return a picture's value between its pixels; -1 outside the picture."""
+    h, w = picture.shape
+    if x < 0 or y < 0 or x > w - 1 or y > h - 1:
+        return np.float32(-1)
+    x0, y0 = min(int(x), w - 2), min(int(y), h - 2)
+    fx, fy = x - np.float32(x0), y - np.float32(y0)
+    top, bottom = np.float32(picture[y0, x0]), np.float32(picture[y0 + 1, x0])
+    top += fx * (np.float32(picture[y0, x0 + 1]) - top)
+    bottom += fx * (np.float32(picture[y0 + 1, x0 + 1]) - bottom)
+    return top + fy * (bottom - top)
+
+
+@kernel()
+def _share(level, u):
+    """Return the share of white at a place between projector pixels."""
+    u = min(max(u, np.float32(0)), np.float32(len(level) - 1))
+    low = min(int(u), len(level) - 2)
+    return level[low] + (u - np.float32(low)) * (level[low + 1] - level[low])
+
+
+@kernel(parallel=True, error_model="numpy")
+def _correlate(stack, shift, near, place, level, of_axis, score, best):
+    """Keep the nearness at which pictures and light have the highest correlation."""
+    n, h, w = stack.shape
+    per_px = np.float32((shift.shape[2] - 1) / max(w - 1, 1))
+    for y in numba.prange(h):
+        moved = _at_nearness(_in_row(shift, y, h), near)
+        sums = np.zeros((5, w), dtype=np.float32)
+        seen = np.ones(w, dtype=np.bool_)
+        for k in range(n):
+            own, picture, light, axis = moved[k], stack[k], level[k], of_axis[k]
+            for x in range(w):
+                at = np.float32(x) * per_px
+                low = min(int(at), shift.shape[2] - 2)
+                t = at - np.float32(low)
+                value = _value(
+                    picture,
+                    np.float32(x) + _between(own, low, t, 0),
+                    np.float32(y) + _between(own, low, t, 1),
+                )
+                seen[x] &= value >= 0
+                u = np.float32(0)
+                if axis < 2:
+                    u = place[axis, y, x] + _between(own, low, t, 2 + axis)
+                share = _share(light, u)
+                sums[0, x] += value
+                sums[1, x] += value * value
+                sums[2, x] += share
+                sums[3, x] += share * share
+                sums[4, x] += value * share
+        for x in range(w):
+            a, aa, b, bb, ab = sums[0, x], sums[1, x], sums[2, x], sums[3, x], sums[4, x]
+            spread = (aa - a * a / n) * (bb - b * b / n)
+            likeness = (ab - a * b / n) / math.sqrt(spread) if spread > 0 else 0.0
+            if seen[x] and likeness > score[y, x]:
+                score[y, x], best[y, x] = likeness, near
+
+
+@kernel(error_model="numpy")
+def _phase_place(values, moved, coarse, frames, delta):
+    """Return the place that the phases of the finest period give, nearest to a coarse place.
+
+    The phases are uneven, because the stripes moved; mean, cosine and sine are least squares.
+    """
+    period = frames[0]
+    if period < 0:
+        return coarse
+    A, v = np.zeros((3, 3)), np.zeros(3)
+    for j in range(len(delta)):
+        k = int(frames[1 + j])
+        if k < 0:
+            break
+        angle = delta[j] - 2 * math.pi * moved[k] / period
+        c, s = math.cos(angle), math.sin(angle)
+        base = np.array((1.0, c, s))
+        A += np.outer(base, base)
+        v += base * values[k]
+    _, c, s = np.linalg.solve(A, v)
+    turn = math.atan2(s, c) / (2 * math.pi)
+    return (turn + np.rint(coarse / period - turn)) * period
+
+
+@kernel(parallel=True, error_model="numpy")
+def _give_back(stack, shift, near, place, level, of_axis, frames, delta, group, result):
+    """Write the pictures of the reference time, for the nearness of each pixel.
+
+    Blur lowers the contrast of fine stripes, so each period has its own; the other frames, in which
+    the group is 0, share the contrast of all.
+    """
+    n, h, w = stack.shape
+    per_px = np.float32((shift.shape[2] - 1) / max(w - 1, 1))
+    for y in numba.prange(h):
+        row = _in_row(shift, y, h)
+        values, then, now = np.empty(n), np.empty(n), np.empty(n)
+        moved = np.zeros((2, n))
+        for x in range(w):
+            if near[y, x] < 0:
+                continue
+            at = np.float32(x) * per_px
+            low = min(int(at), shift.shape[2] - 2)
+            t = at - np.float32(low)
+            grid = _at_nearness(row, near[y, x])
+            for k in range(n):
+                values[k] = _value(
+                    stack[k],
+                    np.float32(x) + _between(grid[k], low, t, 0),
+                    np.float32(y) + _between(grid[k], low, t, 1),
+                )
+                for axis in range(2):
+                    moved[axis, k] = _between(grid[k], low, t, 2 + axis)
+            for k in range(n):
+                now[k] = then[k] = level[k, 0]
+            for axis in range(2):
+                u = _phase_place(values, moved[axis], place[axis, y, x], frames[axis], delta[axis])
+                for k in range(n):
+                    if of_axis[k] == axis:
+                        now[k] = _share(level[k], np.float32(u))
+                        then[k] = _share(level[k], np.float32(u + moved[axis, k]))
+            for g in range(group.max() + 1):
+                own = (group == g) | (g == 0)
+                off = (then - then[own].mean()) * own
+                spread = np.square(off).sum()
+                contrast = (off * values).sum() / spread if spread > 0 else 0.0
+                for k in range(n):
+                    if group[k] == g:
+                        value = values[k] + contrast * (now[k] - then[k])
+                        result[k, y, x] = max(np.rint(value), 0.0)

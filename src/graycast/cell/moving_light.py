@@ -1,0 +1,169 @@
+"""Light over time: few renders of a moving scene, from which all pictures are interpolated.
+
+The light of a picture is the mean over its exposure. Between two renders it changes in proportion
+to time. If the picture moves by d between two renders, the phase of a cosine with the period p is
+then wrong by at most 0.1 (2 pi d / p)^3 / 6 rad, and its amplitude is at most (pi d / p)^2 / 2 too
+low. An edge is blurred over d. All renders use the same random numbers, so that the errors of their
+light paths are similar.
+
+Leaves out: speckle, line noise and the error of few light paths are those of the ground truth's
+time and stay at their pixels; fixed lamps, see `motion`.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..base import array_types as arrays
+from ..base.errors import ConfigError
+from ..base.frames import inverse
+from ..base.progress import UNWATCHED, ProgressMeter
+from ..camera.exposure import ExposureTimes
+from ..camera.light import camera_light
+from ..camera.scanner import SensorLight
+from ..rendering import Quality, Renderer
+from ..world.scene import Layout, Scene, bin_of
+from .motion import MotionSection, Timeline, pose_at, speed_px_s, timeline
+from .views import refuse_inside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderPlan:
+    """The times of all renders, and the weight of each render in the light of each picture."""
+
+    time_s: Float[np.ndarray, " m"]
+    weight: Float[np.ndarray, "p m"]
+
+
+def plan_renders(
+    start_s: Float[np.ndarray, " p"], duration_s: Float[np.ndarray, " p"], *, longest_s: float
+) -> RenderPlan:
+    """Return the fewest renders that are at most `longest_s` apart within each exposure.
+
+    Each picture has its own renders, one in the middle of each equal part of its exposure, unless
+    evenly spaced renders over the whole scan are fewer; the light is interpolated between those.
+    """
+    parts = np.maximum(1, np.ceil(duration_s / longest_s - 1e-9)).astype(int)
+    owner = np.repeat(np.arange(len(start_s)), parts)
+    part = np.concatenate([np.arange(n) for n in parts])
+    own_s = start_s[owner] + duration_s[owner] * (part + 0.5) / parts[owner]
+    first_s, last_s = float(own_s.min()), float(own_s.max())
+    even = math.ceil((last_s - first_s) / longest_s - 1e-9) + 1
+    if even < len(own_s):
+        time_s = np.linspace(first_s, last_s, even)
+        step_s = (last_s - first_s) / (even - 1) if even > 1 else math.inf
+        share = np.maximum(1 - np.abs(own_s[:, None] - time_s) / step_s, 0.0)
+    else:
+        time_s, share = own_s, np.eye(len(own_s))
+    weight = np.zeros((len(start_s), len(time_s)))
+    np.add.at(weight, owner, share / parts[owner, None])
+    return RenderPlan(time_s=time_s, weight=weight)
+
+
+class MovingLight:
+    """The light of a moving scene on the sensor, as a function of the exposure times for `take`.
+
+    `record` has the times of the pictures and the number of renders of the last call.
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        scene: Scene,
+        layout: Layout,
+        patterns: arrays.UInt8Array_n_ph_pw,
+        motion: MotionSection,
+        *,
+        quality: Quality,
+        seed: int,
+        progress: ProgressMeter = UNWATCHED,
+    ) -> None:
+        """Keep what a call needs.
+
+        Args:
+            scene: the scene at the time of the ground truth.
+            seed: the seed of all renders.
+        """
+        self._renderer, self._scene, self._layout = renderer, scene, layout
+        self._patterns, self._motion, self._progress = patterns, motion, progress
+        self._quality, self._seed = quality, seed
+        self.record: dict[str, Any] = {}
+        self._line: Timeline | None = None
+
+    def __call__(self, times: ExposureTimes) -> list[SensorLight]:
+        """Render the scene at several times, and return the light of each exposure.
+
+        Raises:
+            ConfigError: the rig would be inside the bin; the path does not cover the scan.
+            ValueError: see `Renderer.render`.
+        """
+        line = timeline(self._motion, times, len(self._patterns))
+        self._line = line
+        plan = _plan(self._scene, self._motion, line)
+        exposures, frames = line.start_s.shape
+        camera = self._scene.rig.camera
+        shape = (exposures, frames, camera.height_px, camera.width_px)
+        stack, background = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        for number, time_s in enumerate(plan.time_s):
+            self._progress.count("renders of a scan", number, len(plan.time_s))
+            weight = plan.weight[:, number].reshape(exposures, frames).astype(np.float32)
+            shown = np.flatnonzero(weight.any(axis=0))
+            light, ambient = self._light_at(float(time_s), shown)
+            for image, frame in zip(light, shown, strict=True):
+                for exposure in np.flatnonzero(weight[:, frame]):
+                    stack[exposure, frame] += weight[exposure, frame] * image
+                    background[exposure, frame] += weight[exposure, frame] * ambient
+        self._progress.count("renders of a scan", len(plan.time_s), len(plan.time_s))
+        self.record = {
+            "start_s": line.start_s.tolist(),
+            "exposure_s": line.duration_s.tolist(),
+            "pictures": line.start_s.size,
+            "renders": len(plan.time_s),
+        }
+        return [SensorLight(*light) for light in zip(stack, background, strict=True)]
+
+    def transforms(self) -> arrays.FloatArray_n_4_4 | None:
+        """Return `T_then_now` of `take_back` for the last scan; None without compensation.
+
+        Raises:
+            ConfigError: the scan has several exposures.
+        """
+        if not self._motion.compensate or self._line is None:
+            return None
+        if len(self._line.duration_s) > 1:
+            raise ConfigError(
+                f"motion.compensate needs one exposure, and the scan has "
+                f"{len(self._line.duration_s)}: set exposure.factors to [1]"
+            )
+        T = self._scene.T_world_cam
+        poses = [pose_at(T, self._motion, float(t)) for t in self._line.middle_s[0]]
+        return np.stack([inverse(pose) @ T for pose in poses])
+
+    def _light_at(self, time_s: float, shown: Int[np.ndarray, " k"]) -> tuple[Any, Any]:
+        """Return the light of some patterns, and all other light, as in `camera_light`."""
+        scene = self._scene
+        T_world_cam = pose_at(scene.T_world_cam, self._motion, time_s)
+        if scene.bin is not None:
+            refuse_inside(T_world_cam, scene.rig, bin_of(scene), f"motion: {time_s:.3g} s")
+        moved = replace(scene, T_world_cam=T_world_cam)
+        rendering = self._renderer.render(
+            moved, self._layout, self._patterns[shown], quality=self._quality, seed=self._seed
+        )
+        return camera_light(rendering.radiance, scene.rig)
+
+
+def _plan(scene: Scene, motion: MotionSection, line: Timeline) -> RenderPlan:
+    duration_s = np.repeat(line.duration_s, line.start_s.shape[1])
+    start_s = line.start_s.ravel()
+    speed = speed_px_s(
+        scene.rig,
+        scene.T_world_cam,
+        motion,
+        start_s=float(start_s[0]),
+        end_s=float(start_s[-1] + duration_s[-1]),
+    )
+    longest_s = motion.render_px / speed if speed else math.inf
+    return plan_renders(start_s, duration_s, longest_s=longest_s)

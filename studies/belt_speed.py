@@ -1,0 +1,82 @@
+"""Depth on a moving belt: decoded and wrong share by speed, with and without compensation.
+
+python -m studies.belt_speed
+
+Prints the table of docs/measurements/motion.md: 12 brackets at `small`, 64 paths per pixel, columns
+only, one exposure, and a picture every 20 ms. The belt moves along the baseline. Each cell has the
+decoded share of the parts' pixels [%], the share of it that is wrong [%], and the median error.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+import graycast as gc
+from benchmarks.stages import cell_of
+from graycast.base.frames import inverse
+from graycast.base.tables import markdown_table
+from graycast.camera.decode import WRONG_M, WRONG_SIGMAS, DepthMap
+from graycast.cell.motion import MotionSection, pose_at
+from graycast.cell.simulate import on_part
+from graycast.rendering import GroundTruth
+
+SPEEDS_M_S = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
+PICTURE_S = 0.02
+RIGS = ("like-phoxi-m", "like-zivid-2plus-m60")
+CODES = ("gray_phase", "multi_frequency", "xor_gray")
+
+
+def shares(depth: DepthMap, truth: GroundTruth, part: Bool[np.ndarray, "h w"]) -> str:
+    """Return the decoded share of the parts' pixels and the share of it that is wrong [%]."""
+    error_m = np.abs(depth.depth_m - truth.depth_m)
+    known = np.isfinite(error_m) & part
+    wrong = known & (error_m > WRONG_M) & (error_m > WRONG_SIGMAS * depth.sigma_m)
+    median_um = 1e6 * np.median(error_m[known]) if known.any() else np.nan
+    decoded, spoilt = known.sum() / part.sum(), wrong.sum() / max(known.sum(), 1)
+    return f"{100 * decoded:.0f}; {100 * spoilt:.1f}; {median_um:.0f}"
+
+
+def figures(rig: str, code: dict[str, Any], speed_m_s: float) -> list[str]:
+    """Return the shares without and with compensation, and the numbers of pictures and renders."""
+    motion = MotionSection(belt_m_s=(speed_m_s, 0.0, 0.0), picture_s=PICTURE_S)
+    cell = cell_of(
+        {
+            "count": 12,
+            "rig": rig,
+            "resolution": "small",
+            "bin": {"inner_m": [0.30, 0.22, 0.08]},
+            "exposure": {"factors": [1.0]},
+            "code": code,
+            "render": {"samples": 64},
+            "motion": motion.model_dump(),
+        }
+    )
+    with gc.open_cell_renderer(cell) as renderer:
+        shot = gc.make_scene(cell, 0, seed=1, renderer=renderer)
+    sample, record = shot.sample, shot.sample.manifest["motion"]
+    middle_s = np.array(record["start_s"][0]) + record["exposure_s"][0] / 2
+    T = sample.scene.T_world_cam
+    T_then_now = np.stack([inverse(pose_at(T, motion, float(t))) @ T for t in middle_s])
+    part = on_part(sample.scene, sample.layout, sample.truth)
+    noise = shot.rendering.radiance.path_noise
+    known = gc.measure(cell.scanner, shot.capture, path_noise=noise, T_then_now=T_then_now)[1]
+    depths = sample.scanner_depth, known
+    pictures = f"{record['pictures']}; {record['renders']}"
+    return [*(shares(depth, sample.truth, part) for depth in depths), pictures]
+
+
+def main() -> None:
+    head = ["rig", "code", "speed [m/s]", "as taken", "compensated", "pictures; renders"]
+    rows = []
+    for rig in RIGS:
+        for code in CODES:
+            for speed_m_s in SPEEDS_M_S:
+                settings = {"codec": code, "axes": ["column"]}
+                rows.append([rig, code, f"{speed_m_s:g}", *figures(rig, settings, speed_m_s)])
+                print(rows[-1], flush=True)
+    print(markdown_table(head, rows))
+
+
+if __name__ == "__main__":
+    main()

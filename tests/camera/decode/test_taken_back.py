@@ -1,0 +1,98 @@
+"""Pictures of a moving scene, taken back to one time: the result is a stack of a scene at rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graycast.base.errors import DecodeError
+from graycast.base.frames import axis_rotation, inverse, rigid, transform_points
+from graycast.camera.decode import DecodeSpec, Levels, decode, take_back, triangulate
+from graycast.rig.optics import in_picture, picture_rays, points, project
+from graycast.rig.pair import preset_rig
+from graycast.rig.pattern import CodeSpec
+
+WALL_M = np.array([0.1, 0.05, 1.0]), 0.8  # Normal direction and distance along the camera's axis
+LEVELS = Levels(offset_dn=0.0, floor_dn2=400.0, slope_dn=0.0, saturation_dn=65_000.0)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """Return a small window of a PhoXi M's camera, with a range of 0.7 to 0.9 m."""
+    rig = preset_rig("like-phoxi-m", "small")
+    camera = replace(rig.camera, width_px=120, height_px=60, cx_px=60.0, cy_px=30.0)
+    return replace(rig, camera=camera, near_m=0.7, far_m=0.9)
+
+
+def wall_depth(camera, normal, distance_m):
+    """Return the depth of each pixel on the plane `normal . x = distance_m normal[2]`."""
+    return distance_m * normal[2] / (picture_rays(camera) @ normal)
+
+
+def pictures_of_wall(rig, code, T_then_now):
+    """Return exact pictures of a wall that moves, from the geometry of each picture alone."""
+    normal, distance_m = WALL_M
+    frames = []
+    for k, T in enumerate(T_then_now):
+        moved_normal = T[:3, :3] @ normal
+        on_wall = transform_points(T, np.array([0.0, 0.0, distance_m]))
+        depth_m = (moved_normal @ on_wall) / (picture_rays(rig.camera) @ moved_normal)
+        place = project(
+            rig.projector, transform_points(inverse(rig.T_cam_proj), points(rig.camera, depth_m))
+        )
+        frame = code.frames[k]
+        share = code.share(frame)
+        axis = 0 if frame.axis == "column" else 1
+        light = np.interp(place[..., axis], np.arange(len(share)), share) if frame.axis else share
+        # A texture that is fixed to the wall: a slope of brightness along its own x.
+        own = transform_points(inverse(T), points(rig.camera, depth_m))
+        frames.append((1 + own[..., 0]) * (2_000 + 30_000 * light))
+    return np.round(frames).astype(np.uint16)
+
+
+def motions(count, velocity_m, turn_rad):
+    """Return `T_then_now` of a steady motion; the middle picture has the reference time."""
+    steps = np.arange(count) - count // 2
+    return np.stack(
+        [rigid(axis_rotation("z", turn_rad * s), np.array(velocity_m) * s) for s in steps]
+    )
+
+
+@pytest.mark.parametrize("codec", ["gray_phase", "multi_frequency", "xor_gray"])
+def test_pictures_of_a_scene_at_rest_are_not_changed(rig, codec):
+    code = CodeSpec(codec=codec).code(rig.projector.width_px, rig.projector.height_px)
+    rest = np.repeat(np.eye(4)[None], len(code.frames), axis=0)
+    frames = pictures_of_wall(rig, code, rest)
+    assert np.array_equal(take_back(frames, code, rig, rest), frames)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("codec", ["gray_phase", "multi_frequency"])
+@pytest.mark.parametrize(
+    ("velocity_m", "turn_rad"), [((0.001, 0.0005, 0.0), 0.0), ((0.0, 0.0005, 0.001), 0.002)]
+)
+def test_a_moving_wall_has_the_depth_of_the_reference_time(rig, codec, velocity_m, turn_rad):
+    """As taken, many pictures contradict; taken back, they give the depth of the reference time."""
+    code = CodeSpec(codec=codec).code(rig.projector.width_px, rig.projector.height_px)
+    T = motions(len(code.frames), velocity_m, turn_rad)
+    frames = pictures_of_wall(rig, code, T)
+    truth_m = wall_depth(rig.camera, *WALL_M)
+    now_m = points(rig.camera, truth_m)
+    seen = np.all(
+        [in_picture(rig.camera, project(rig.camera, transform_points(one, now_m))) for one in T],
+        axis=0,
+    )
+    good = {}
+    for name, stack in (("taken", frames), ("back", take_back(frames, code, rig, T))):
+        depth = triangulate(decode(stack, code, DecodeSpec(), LEVELS), rig)
+        good[name] = (np.abs(depth.depth_m - truth_m) < 5e-4)[seen].mean()
+    assert seen.mean() > 0.5
+    assert good["back"] > 0.9  # Pictures between pixels blur the edges of stripes.
+    assert good["taken"] < good["back"] - 0.15
+
+
+def test_as_many_poses_as_frames_are_needed(rig):
+    code = CodeSpec(codec="gray").code(rig.projector.width_px, rig.projector.height_px)
+    frames = np.zeros((len(code.frames), 60, 120), dtype=np.uint16)
+    with pytest.raises(DecodeError, match="one pose for each"):
+        take_back(frames, code, rig, np.eye(4)[None])

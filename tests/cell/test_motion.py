@@ -264,7 +264,7 @@ def test_a_scan_at_rest_is_the_same_with_and_without_motion(scanner, mitsuba_ren
 def test_interpolated_renders_change_the_depth_by_less_than_a_tenth_of_sigma(
     scanner, mitsuba_renderer
 ):
-    """What remains is the noise of 64 light paths per pixel, which halves with 256."""
+    """The remaining difference is noise of 64 light paths per pixel; it halves with 256."""
     velocity_m_s = tuple(0.004 * (SOMEWHERE[:3, 1] + SOMEWHERE[:3, 2]))
     motions = [MotionSection(belt_m_s=velocity_m_s, render_px=px) for px in (0.25, 0.1)]
     _, (few, many), renders, _ = scans(scanner, motions, mitsuba_renderer, patches=False)

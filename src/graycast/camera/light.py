@@ -1,15 +1,27 @@
 """Light on the measuring camera's sensor: rendered light with black level and stray light."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
+from ..base import array_types as arrays
 from ..rendering.radiance import Radiance
 from ..rig.pair import Rig
 
 OCTAVES = 6  # The Gaussians of the veil have sigmas of 1/64, 1/32 .. 1/2 of the image's width.
 LOW_WIDTH_PX = 128  # The veil is computed at this width, where the smallest sigma is 2 pixels.
+
+
+@dataclass(frozen=True, slots=True)
+class SensorLight:
+    """Light on the sensor in one exposure [W sr^-1 m^-2]: the projector's in each frame, and other
+    light, which is the same in all frames unless the scene moves."""
+
+    stack: arrays.FloatArray_n_h_w
+    background: arrays.FloatArray_h_w | arrays.FloatArray_n_h_w
 
 
 def camera_light(

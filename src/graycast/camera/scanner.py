@@ -35,7 +35,7 @@ from .decode import (
 )
 from .exposure import ExposureSpec, ExposureTimes, exposure_times
 from .faults import FaultSpec, with_faults
-from .light import camera_light
+from .light import SensorLight, camera_light
 from .line_noise import with_line_noise
 from .sensor import Capture, SensorSpec, expose, merge_exposures
 from .sigma import (
@@ -118,15 +118,6 @@ def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
     capture = take(scanner, radiance, seed=seed)
     codes, depth = measure(scanner, capture, path_noise=radiance.path_noise)
     return Scan(capture=capture, codes=codes, depth=depth)
-
-
-@dataclass(frozen=True, slots=True)
-class SensorLight:
-    """Light on the sensor in one exposure [W sr^-1 m^-2]: the projector's in each frame, and the
-    rest, which is the same in all frames unless the scene moves."""
-
-    stack: arrays.FloatArray_n_h_w
-    background: arrays.FloatArray_h_w | arrays.FloatArray_n_h_w
 
 
 def take(

@@ -168,9 +168,7 @@ class Capture:
     sensor: SensorSpec
     exposure_s: float | arrays.FloatArray_h_w
     reference_s: float = math.nan  # NaN becomes the shortest exposure time.
-    times_s: tuple[
-        float, ...
-    ] = ()  # An empty tuple is replaced by the exposure times of the pixels.
+    times_s: tuple[float, ...] = ()  # Without any, they are the exposure times of the pixels.
 
     def __post_init__(self) -> None:
         if math.isnan(self.reference_s):

@@ -28,7 +28,7 @@ from ..world.parts.part_sections import PartSection, Unit, resolve_part
 from ..world.parts.wood import wood_texture
 from ..world.scene import BandRadiance, Bin, Environment, Inner, Lamp, Wall
 from .domain import DomainSection
-from .motion import MotionSection
+from .motion import OptionalMotion
 from .views import DomeSection, JitterSection, ScannerEntry, Views, ViewSection
 
 
@@ -203,13 +203,7 @@ class Config(ScannerSections):
         description="Several scanners in the cell, each with a name. They replace rig.",
     )
     light: LightSection = LightSection()
-    motion: MotionSection | None = Field(
-        default=None,
-        # A dataset without motion has the same files as those of versions without this key.
-        exclude_if=lambda motion: motion is None,
-        description="Motion of the bin or of the rig while the pictures are taken. Without this "
-        "key, nothing moves.",
-    )
+    motion: OptionalMotion = None
     domain: DomainSection | None = Field(
         default=None,
         description="How the scenes differ in light, views and materials, in addition to the "

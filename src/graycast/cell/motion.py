@@ -112,6 +112,17 @@ class MotionSection(Settings):
         return self
 
 
+OptionalMotion = Annotated[
+    MotionSection | None,
+    Field(
+        # A dataset without motion has the same files as those of versions without this key.
+        exclude_if=lambda motion: motion is None,
+        description="Motion of the bin or of the rig while the pictures are taken. Without this "
+        "key, nothing moves.",
+    ),
+]
+
+
 def pose_at(T_world_cam: Pose, motion: MotionSection, time_s: float) -> Pose:
     """Return the pose of the camera relative to bin and parts at a time after the ground truth.
 
@@ -183,13 +194,13 @@ def speed_px_s(
     ahead = ahead / ahead[:, 2:]
     point_m = transform_points(T_world_cam, np.vstack([ahead * rig.near_m, ahead * rig.far_m]))
     times_s = np.linspace(start_s, end_s, SPEED_STEPS + 1)
-    shown_px = []
+    picture_px = []
     for time_s in times_s:
         T_cam_world = inverse(pose_at(T_world_cam, motion, float(time_s)))
         in_camera_m = transform_points(T_cam_world, point_m)
         in_projector_m = transform_points(inverse(rig.T_cam_proj), in_camera_m)
-        shown_px.append([project(camera, in_camera_m), project(rig.projector, in_projector_m)])
-    moved_px = np.linalg.norm(np.diff(np.array(shown_px), axis=0), axis=-1)
+        picture_px.append([project(camera, in_camera_m), project(rig.projector, in_projector_m)])
+    moved_px = np.linalg.norm(np.diff(np.array(picture_px), axis=0), axis=-1)
     return float(np.nanmax(moved_px, initial=0.0) / (times_s[1] - times_s[0]))
 
 

@@ -22,8 +22,7 @@ from ..base.errors import ConfigError
 from ..base.frames import inverse
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..camera.exposure import ExposureTimes
-from ..camera.light import camera_light
-from ..camera.scanner import SensorLight
+from ..camera.light import SensorLight, camera_light
 from ..rendering import Quality, Renderer
 from ..world.scene import Layout, Scene, bin_of
 from .motion import MotionSection, Timeline, pose_at, speed_px_s, timeline
@@ -110,9 +109,9 @@ class MovingLight:
         for number, time_s in enumerate(plan.time_s):
             self._progress.count("renders of a scan", number, len(plan.time_s))
             weight = plan.weight[:, number].reshape(exposures, frames).astype(np.float32)
-            shown = np.flatnonzero(weight.any(axis=0))
-            light, ambient = self._light_at(float(time_s), shown)
-            for image, frame in zip(light, shown, strict=True):
+            frames_now = np.flatnonzero(weight.any(axis=0))
+            light, ambient = self._light_at(float(time_s), frames_now)
+            for image, frame in zip(light, frames_now, strict=True):
                 for exposure in np.flatnonzero(weight[:, frame]):
                     stack[exposure, frame] += weight[exposure, frame] * image
                     background[exposure, frame] += weight[exposure, frame] * ambient
@@ -142,7 +141,7 @@ class MovingLight:
         poses = [pose_at(T, self._motion, float(t)) for t in self._line.middle_s[0]]
         return np.stack([inverse(pose) @ T for pose in poses])
 
-    def _light_at(self, time_s: float, shown: Int[np.ndarray, " k"]) -> tuple[Any, Any]:
+    def _light_at(self, time_s: float, frames_now: Int[np.ndarray, " k"]) -> tuple[Any, Any]:
         """Return the light of some patterns, and all other light, as in `camera_light`."""
         scene = self._scene
         T_world_cam = pose_at(scene.T_world_cam, self._motion, time_s)
@@ -150,7 +149,7 @@ class MovingLight:
             refuse_inside(T_world_cam, scene.rig, bin_of(scene), f"motion: {time_s:.3g} s")
         moved = replace(scene, T_world_cam=T_world_cam)
         rendering = self._renderer.render(
-            moved, self._layout, self._patterns[shown], quality=self._quality, seed=self._seed
+            moved, self._layout, self._patterns[frames_now], quality=self._quality, seed=self._seed
         )
         return camera_light(rendering.radiance, scene.rig)
 

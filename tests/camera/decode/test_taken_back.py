@@ -72,7 +72,7 @@ def test_pictures_of_a_scene_at_rest_are_not_changed(rig, codec):
     ("velocity_m", "turn_rad"), [((0.001, 0.0005, 0.0), 0.0), ((0.0, 0.0005, 0.001), 0.002)]
 )
 def test_a_moving_wall_has_the_depth_of_the_reference_time(rig, codec, velocity_m, turn_rad):
-    """As taken, many pictures contradict; taken back, they give the depth of the reference time."""
+    """Many pictures contradict as they are; taken back, they give the depth at rest."""
     code = CodeSpec(codec=codec).code(rig.projector.width_px, rig.projector.height_px)
     T = motions(len(code.frames), velocity_m, turn_rad)
     frames = pictures_of_wall(rig, code, T)

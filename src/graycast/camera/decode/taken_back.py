@@ -13,10 +13,11 @@ only from some directions; their pictures contradict.
 """
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 
 from ...base import array_types as arrays
 from ...base.errors import DecodeError
@@ -53,18 +54,16 @@ def take_back(
             f"{len(code.frames)} frames: give one frame and one pose for each"
         )
     stack = np.ascontiguousarray(frames)
-    shift, (level, of_axis) = _shifts(rig, T_then_now), _light(code)
+    shift, light, steps = _shifts(rig, T_then_now), _light(code), _steps(code)
     ray = picture_rays(rig.camera)
     nearness = _nearness(rig, ray)
     score = np.zeros(ray.shape[:2], dtype=np.float32)
     best = np.full(ray.shape[:2], -1.0, dtype=np.float32)
     for near in nearness.tolist():
         place = _places(rig, ray, near)
-        _correlate(stack, shift, np.float32(near), place, level, of_axis, score, best)
+        _correlate(stack, shift, np.float32(near), place, light, score, best)
     result = np.zeros_like(stack)
-    place = _places(rig, ray, best)
-    finest, group = _finest_period(code), _groups(code)
-    _give_back(stack, shift, best, place, level, of_axis, *finest, group, result)
+    _give_back(stack, shift, best, _places(rig, ray, best), light, steps, result)
     return result
 
 
@@ -105,8 +104,28 @@ def _shifts(rig: Rig, T_then_now) -> Float[np.ndarray, "n depths grid grid 4"]:
     return shift
 
 
-def _light(code: Code):
-    """Return each frame's share of white at each projector pixel, and its axis (2: none)."""
+class _Light(NamedTuple):
+    """The share of white of each frame at each projector pixel, and its axis (2 for none)."""
+
+    share: Float32[np.ndarray, "n length"]
+    axis: Int[np.ndarray, " n"]
+
+
+class _Steps(NamedTuple):
+    """The phases of a code.
+
+    Attributes:
+        group: a number for the period of each frame; 0 for frames without phase.
+        finest: for each axis, the finest period and its frames, filled up with -1.
+        delta: the phases of these frames [rad].
+    """
+
+    group: Int[np.ndarray, " n"]
+    finest: Float[np.ndarray, "2 frames"]
+    delta: Float[np.ndarray, "2 n"]
+
+
+def _light(code: Code) -> _Light:
     level = np.zeros((len(code.frames), max(code.width_px, code.height_px)), dtype=np.float32)
     of_axis = np.full(len(code.frames), 2)
     for k, frame in enumerate(code.frames):
@@ -114,7 +133,7 @@ def _light(code: Code):
         level[k, : len(share)], level[k, len(share) :] = share, share[-1]
         if frame.axis is not None:
             of_axis[k] = AXES.index(frame.axis)
-    return level, of_axis
+    return _Light(level, of_axis)
 
 
 def _periods(code: Code, axis: Axis) -> dict[float, list[int]]:
@@ -126,29 +145,19 @@ def _periods(code: Code, axis: Axis) -> dict[float, list[int]]:
     return {period: members for period, members in steps.items() if len(members) >= 3}
 
 
-def _groups(code: Code) -> Int[np.ndarray, " n"]:
-    """Return a number for the period of each frame; 0 for other frames."""
-    group = np.zeros(len(code.frames), dtype=np.int64)
-    every = (members for axis in AXES for members in _periods(code, axis).values())
-    for number, members in enumerate(every, start=1):
-        group[members] = number
-    return group
-
-
-def _finest_period(code: Code):
-    """Return, for each axis, the finest period with its frames, and their phases.
-
-    A row of the first array is the period and its frames, and -1 for the rest; the second array has
-    the phases.
-    """
-    frames, delta = np.full((2, 1 + len(code.frames)), -1.0), np.zeros((2, len(code.frames)))
+def _steps(code: Code) -> _Steps:
+    n = len(code.frames)
+    group, finest, delta = np.zeros(n, dtype=np.int64), np.full((2, 1 + n), -1.0), np.zeros((2, n))
     for i, axis in enumerate(AXES):
-        if periods := _periods(code, axis):
+        periods = _periods(code, axis)
+        for members in periods.values():
+            group[members] = group.max() + 1
+        if periods:
             members = periods[min(periods)]
-            frames[i, : 1 + len(members)] = min(periods), *members
-            for j, k in enumerate(members):
-                delta[i, j] = 2 * math.pi * code.frames[k].step / code.frames[k].steps
-    return frames, delta
+            finest[i, : 1 + len(members)] = min(periods), *members
+            phases = [code.frames[k].step / code.frames[k].steps for k in members]
+            delta[i, : len(members)] = 2 * math.pi * np.array(phases)
+    return _Steps(group, finest, delta)
 
 
 @kernel()
@@ -205,16 +214,16 @@ def _share(level, u):
 
 
 @kernel(parallel=True, error_model="numpy")
-def _correlate(stack, shift, near, place, level, of_axis, score, best):
+def _correlate(stack, shift, near, place, light, score, best):
     """Keep the nearness at which pictures and light have the highest correlation."""
     n, h, w = stack.shape
     per_px = np.float32((shift.shape[2] - 1) / max(w - 1, 1))
     for y in numba.prange(h):
         moved = _at_nearness(_in_row(shift, y, h), near)
         sums = np.zeros((5, w), dtype=np.float32)
-        seen = np.ones(w, dtype=np.bool_)
+        inside = np.ones(w, dtype=np.bool_)
         for k in range(n):
-            own, picture, light, axis = moved[k], stack[k], level[k], of_axis[k]
+            own, picture, level, axis = moved[k], stack[k], light.share[k], light.axis[k]
             for x in range(w):
                 at = np.float32(x) * per_px
                 low = min(int(at), shift.shape[2] - 2)
@@ -224,11 +233,11 @@ def _correlate(stack, shift, near, place, level, of_axis, score, best):
                     np.float32(x) + _between(own, low, t, 0),
                     np.float32(y) + _between(own, low, t, 1),
                 )
-                seen[x] &= value >= 0
+                inside[x] &= value >= 0
                 u = np.float32(0)
                 if axis < 2:
                     u = place[axis, y, x] + _between(own, low, t, 2 + axis)
-                share = _share(light, u)
+                share = _share(level, u)
                 sums[0, x] += value
                 sums[1, x] += value * value
                 sums[2, x] += share
@@ -238,7 +247,7 @@ def _correlate(stack, shift, near, place, level, of_axis, score, best):
             a, aa, b, bb, ab = sums[0, x], sums[1, x], sums[2, x], sums[3, x], sums[4, x]
             spread = (aa - a * a / n) * (bb - b * b / n)
             likeness = (ab - a * b / n) / math.sqrt(spread) if spread > 0 else 0.0
-            if seen[x] and likeness > score[y, x]:
+            if inside[x] and likeness > score[y, x]:
                 score[y, x], best[y, x] = likeness, near
 
 
@@ -267,7 +276,7 @@ def _phase_place(values, moved, coarse, frames, delta):
 
 
 @kernel(parallel=True, error_model="numpy")
-def _give_back(stack, shift, near, place, level, of_axis, frames, delta, group, result):
+def _give_back(stack, shift, near, place, light, steps, result):
     """Write the pictures of the reference time, for the nearness of each pixel.
 
     Blur lowers the contrast of fine stripes, so each period has its own; the other frames, in which
@@ -295,19 +304,20 @@ def _give_back(stack, shift, near, place, level, of_axis, frames, delta, group, 
                 for axis in range(2):
                     moved[axis, k] = _between(grid[k], low, t, 2 + axis)
             for k in range(n):
-                now[k] = then[k] = level[k, 0]
+                now[k] = then[k] = light.share[k, 0]
             for axis in range(2):
-                u = _phase_place(values, moved[axis], place[axis, y, x], frames[axis], delta[axis])
+                coarse, finest = place[axis, y, x], steps.finest[axis]
+                u = _phase_place(values, moved[axis], coarse, finest, steps.delta[axis])
                 for k in range(n):
-                    if of_axis[k] == axis:
-                        now[k] = _share(level[k], np.float32(u))
-                        then[k] = _share(level[k], np.float32(u + moved[axis, k]))
-            for g in range(group.max() + 1):
-                own = (group == g) | (g == 0)
+                    if light.axis[k] == axis:
+                        now[k] = _share(light.share[k], np.float32(u))
+                        then[k] = _share(light.share[k], np.float32(u + moved[axis, k]))
+            for g in range(steps.group.max() + 1):
+                own = (steps.group == g) | (g == 0)
                 off = (then - then[own].mean()) * own
                 spread = np.square(off).sum()
                 contrast = (off * values).sum() / spread if spread > 0 else 0.0
                 for k in range(n):
-                    if group[k] == g:
+                    if steps.group[k] == g:
                         value = values[k] + contrast * (now[k] - then[k])
                         result[k, y, x] = max(np.rint(value), 0.0)

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy import fft
 
 from ..base import array_types as arrays
+from ..base.public_value import public_value
 from ..rendering.radiance import Radiance
 from ..rig.pair import Rig
 
@@ -15,6 +16,7 @@ OCTAVES = 6  # The Gaussians of the veil have sigmas of 1/64, 1/32 .. 1/2 of the
 LOW_WIDTH_PX = 128  # The veil is computed at this width, where the smallest sigma is 2 pixels.
 
 
+@public_value
 @dataclass(frozen=True, slots=True)
 class SensorLight:
     """Light on the sensor in one exposure [W sr^-1 m^-2]: the projector's in each frame, and other

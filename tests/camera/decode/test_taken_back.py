@@ -93,6 +93,6 @@ def test_a_moving_wall_has_the_depth_of_the_reference_time(rig, codec, velocity_
 
 def test_as_many_poses_as_frames_are_needed(rig):
     code = CodeSpec(codec="gray").code(rig.projector.width_px, rig.projector.height_px)
-    frames = np.zeros((len(code.frames), 60, 120), dtype=np.uint16)
+    frames, poses = np.zeros((3, 60, 120), dtype=np.uint16), np.repeat(np.eye(4)[None], 3, axis=0)
     with pytest.raises(DecodeError, match="one pose for each"):
-        take_back(frames, code, rig, np.eye(4)[None])
+        take_back(frames, code, rig, poses)

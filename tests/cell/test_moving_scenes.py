@@ -112,7 +112,7 @@ def test_pictures_cannot_follow_each_other_faster_than_they_are_exposed():
 
 def test_the_speed_of_the_picture_is_that_of_its_nearest_point(rig):
     """At a distance z, f v / z pixels a second; the projector has the longer focal length here."""
-    speed = speed_px_s(rig, DOWN, MotionSection(belt_m_s=(0.0, 0.1, 0.0)), start_s=-1, end_s=1)
+    speed = speed_px_s(rig, DOWN, MotionSection(belt_m_s=(0.0, 0.1, 0.0)), start_s=-1.0, end_s=1.0)
     in_camera = rig.camera.fy_px * 0.1 / rig.near_m
     assert in_camera * 0.99 <= speed
     assert speed <= 1.5 * max(rig.camera.fy_px, rig.projector.fy_px) * 0.1 / rig.near_m

@@ -120,12 +120,11 @@ def _picture_problems(
 def _code_problems(
     maps: Mapping[str, Float32[np.ndarray, "h w"]], reason: UInt8[np.ndarray, "h w"]
 ) -> Iterator[str]:
-    positioned = np.isin(reason, POSITIONED)
     for name, image in maps.items():
         if image.shape != reason.shape:
             yield f"map of {name} is {image.shape}, the camera has {reason.shape}"
             continue
-        wrong = int((np.isfinite(image) != positioned).sum())
+        wrong = int((np.isfinite(image) != np.isin(reason, POSITIONED)).sum())
         if wrong:
             yield f"map of {name} and reason_sl disagree in {wrong} pixels on what is decoded"
         least = 0.0 if name.startswith("sigma") else -0.5  # A pixel is a square around its centre.

@@ -13,7 +13,8 @@ from ...rig.meshdepth import Raster, rasterize
 from ..files import records
 from ..files.safe_reading import Unreadable, content_of, mask_pixels
 from ..files.scene_folder import of_sensor
-from .plain_scene import Model, Plain, transform_of
+from .model_check import Model
+from .plain_scene import Plain, transform_of
 
 # In single precision, a renderer may put a pixel whose centre is very near an edge on either side.
 # With 40 built-in parts, Mitsuba did so for at most one pixel of a mask. Two pixels and 2 % of the

@@ -14,7 +14,8 @@ from ..files.places import camera_file
 from ..files.safe_reading import Form, Unreadable, png_kind
 from ..files.scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
 from .mask_check import mask_problems
-from .plain_scene import Model, Plain, holes_disagree, transform_of
+from .model_check import Model
+from .plain_scene import Plain, holes_disagree, transform_of
 from .raw_check import raw_problems
 
 R = TypeVar("R")

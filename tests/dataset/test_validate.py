@@ -10,7 +10,7 @@ from backends import slow
 from PIL import Image
 
 from graycast.base.errors import DatasetError
-from graycast.dataset.check.checking import Problem, validate
+from graycast.dataset.check.checking import Problem, each_problem, validate
 
 
 @pytest.fixture
@@ -401,3 +401,15 @@ def test_several_processes_find_the_same_problems_in_the_same_order(damaged):
     for scene in sorted((damaged / "train").iterdir()):
         grow_mask(scene)
     assert validate(damaged, workers=2) == validate(damaged) != ()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_problem_of_the_first_scene_is_known_before_the_second_scene_is_read(damaged, workers):
+    """The second scene is deleted after the first problem, which a later read would notice."""
+    first, *others = sorted((damaged / "train").iterdir())
+    (first / "rgb" / "000000.png").unlink()
+    problems = each_problem(damaged, workers=workers)
+    assert next(problems).what == "rgb/000000.png is missing, manifest.json tells of it"
+    for folder in others:
+        shutil.rmtree(folder)
+    assert {problem.scene for problem in problems} >= {int(folder.name) for folder in others}

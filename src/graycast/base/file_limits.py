@@ -98,9 +98,11 @@ def refuse_turned(source: Path | bytes, name: str, error: type[Exception]) -> No
 def _orientation(content: bytes) -> int:
     """Return the EXIF orientation of a JPEG, PNG or TIFF file; 1 (upright) if it is absent."""
     mark = b"eXIf" if content.startswith(b"\x89PNG") else b"Exif\0\0"
+    if content[:4] not in _TIFF and mark not in content:
+        return 1
     exif = content if content[:4] in _TIFF else content.partition(mark)[2]
     try:
-        return _tiff_tags(BytesIO(exif)).get(_ORIENTATION, 1) if exif else 1
+        return _tiff_tags(BytesIO(exif)).get(_ORIENTATION, 1)
     except _DAMAGED:
         return 1  # The decoder will say what is wrong with the file.
 

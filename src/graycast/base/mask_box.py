@@ -4,20 +4,21 @@ import numpy as np
 
 from .array_types import Bool
 
+Box = tuple[int, int, int, int]  # x, y, columns, rows
+Window = tuple[slice, ...]  # rows and columns
 
-def mask_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
+
+def mask_box(mask: Bool[np.ndarray, "h w"]) -> Box:
     """Return the bounding box (x, y, columns, rows) of a mask, as in COCO; all 0 if it is empty.
 
     x and y are the first column and row; columns and rows are the width and height in pixels.
     """
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    rows = np.flatnonzero(mask.any(axis=1))
     if len(rows) == 0:
         return 0, 0, 0, 0
+    columns = np.flatnonzero(mask[rows[0] : rows[-1] + 1].any(axis=0))
     wide, high = int(columns[-1] - columns[0]) + 1, int(rows[-1] - rows[0]) + 1
     return int(columns[0]), int(rows[0]), wide, high
-
-
-Window = tuple[slice, ...]  # rows and columns
 
 
 def overlap(

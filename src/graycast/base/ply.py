@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from .errors import DatasetError
 
 COLORS = ("red", "green", "blue")
+TEXTURE = "comment TextureFile"  # A mesh with a texture has this in its header.
 CAMERA_FRAME = "metres, camera frame: x right, y down, z forward"
 WORLD_FRAME = "metres, world frame: z up, from the middle of the bin's inner floor"
 _TYPES = {"uchar": "u1", "int": "i4", "float": "f4"}
@@ -130,6 +131,29 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
             "the file again"
         )
     return lines, table, count
+
+
+def ascii_mesh(
+    path: Path,
+) -> tuple[list[str], Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Return the header, vertices and triangles of an ASCII PLY file as Graycast writes it.
+
+    trimesh reads every PLY file, but its import takes longer than the check of a scene.
+
+    Raises:
+        DatasetError: the file is damaged, or another program wrote it.
+    """
+    lines, body = split(path)
+    rows = [row.split() for row in body.splitlines()]
+    try:
+        vertices, faces = (int(line.split()[2]) for line in lines if line.startswith("element "))
+        if lines[1] != "format ascii 1.0" or len(rows) != vertices + faces:
+            raise ValueError(f"{lines[1]}, {len(rows)} rows of {vertices + faces}")
+        point = np.array([row[:3] for row in rows[:vertices]], dtype=np.float64)
+        corners = np.array(rows[vertices:], dtype=np.int64).reshape(-1, 4)  # the number 3, and them
+    except (ValueError, IndexError) as error:
+        raise DatasetError(f"{path}: is no intact ASCII PLY file of triangles ({error})") from error
+    return lines, point.reshape(-1, 3), corners[:, 1:]
 
 
 def _row_sizes(lines: Sequence[str], body: bytes) -> set[int]:

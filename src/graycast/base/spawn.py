@@ -6,10 +6,17 @@ because their functions and data come from modules.
 """
 
 import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import islice
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 class _Process(SpawnProcess):
@@ -28,3 +35,24 @@ class _Context(SpawnContext):
 
 
 SPAWN = _Context()  # replaces `multiprocessing.get_context("spawn")`
+
+
+def in_order(
+    function: Callable[[Item], Result], items: Sequence[Item], *, workers: int
+) -> Iterator[Result]:
+    """Yield the result of a function for each item, in the order of the items.
+
+    The workers are at most two items each ahead, so that memory use stays constant.
+    """
+    if workers == 1 or len(items) < 2:
+        yield from map(function, items)
+        return
+    with ProcessPoolExecutor(min(workers, len(items)), mp_context=SPAWN) as pool:
+        others = iter(items)
+        ahead = deque(pool.submit(function, item) for item in islice(others, 2 * workers))
+        try:
+            while ahead:
+                yield ahead.popleft().result()
+                ahead.extend(pool.submit(function, item) for item in islice(others, 1))
+        finally:
+            pool.shutdown(cancel_futures=True)

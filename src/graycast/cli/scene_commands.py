@@ -312,14 +312,15 @@ def _live(options: argparse.Namespace) -> int:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from ..dataset.check.checking import validate
+    from ..dataset.check.checking import each_problem
     from ..dataset.read.real import absent
 
-    problems = validate(options.dataset, fast=options.fast, workers=options.workers)
-    for problem in problems:
-        print(problem)
+    problems = 0
+    for problem in each_problem(options.dataset, fast=options.fast, workers=options.workers):
+        print(problem, flush=True)
+        problems += 1
     sound = "every file has the digest with which it was written" if options.fast else "valid"
-    print(f"{options.dataset}: {f'{len(problems)} problem(s)' if problems else sound}")
+    print(f"{options.dataset}: {f'{problems} problem(s)' if problems else sound}")
     if not problems:
         for lacking in absent(options.dataset):
             print(f"  not known: {lacking}")

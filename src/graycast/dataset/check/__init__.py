@@ -1,6 +1,7 @@
 """Checks of a dataset from its files alone.
 
 plain_scene   one image and its records as they are stored, for the checks
+model_check   object models: their files, read and checked
 grasp_files   grasp labels: their files, read and checked
 mask_check    checks of masks, counts and boxes against the posed models
 raw_check     checks of captured pictures and code maps

@@ -1,20 +1,15 @@
 """Check a dataset from its files alone, without the renderer and the configuration."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import trimesh
-
 from ...base.file_limits import parse_json
-from ...base.frames import is_rigid
-from ...base.ply import split
 from ...base.public_value import public_value
-from ...base.spawn import SPAWN
+from ...base.spawn import in_order
 from ..files import records
 from ..files.places import CLAIM, camera_file, finished_scenes
 from ..files.safe_reading import Unreadable, read_json
@@ -22,16 +17,10 @@ from ..files.scene_folder import SceneFolder, picture_name
 from ..files.seal import MANIFEST, seal_problems, sum_problems
 from ..read.real import RealClaim, read_claim, real_problems
 from ..read.rescanned import is_rescanned
-from ..write.bop import camera_json
-from ..write.claim import BESIDE_CONFIG, difference, fingerprint, rig_of
-from ..write.models import TEXTURE, diameter
-from .grasp_files import grasp_problems
-from .plain_scene import Model
-from .rescan_check import rescan_problems
-from .scene_check import scene_problems
+from ..write.claim import BESIDE_CONFIG, camera_json, difference, fingerprint, rig_of
+from .model_check import Model, model_problems, read_model
 
 _Finding = tuple[int | None, str]  # A scene (None is the whole dataset) and a message.
-_MODEL_MM = 1e-3  # A PLY file stores nine digits, which are read in single precision.
 
 
 @public_value
@@ -67,23 +56,36 @@ def validate(out: Path | str, *, fast: bool = False, workers: int = 1) -> tuple[
     Raises:
         DatasetError: the folder holds no dataset, or one of another version of Graycast.
     """
-    findings = _problems(Path(out), fast=fast, workers=workers)
-    return tuple(Problem(scene=scene, what=what) for scene, what in findings)
+    return tuple(each_problem(out, fast=fast, workers=workers))
+
+
+def each_problem(out: Path | str, *, fast: bool = False, workers: int = 1) -> Iterator[Problem]:
+    """Yield the problems that `validate` returns, in the same order, each as soon as it is known.
+
+    The claim and the cameras come first, then the scenes one by one, then models, COCO's file of
+    the split, and grasps.
+    """
+    for scene, what in _problems(Path(out), fast=fast, workers=workers):
+        yield Problem(scene=scene, what=what)
 
 
 def _problems(out: Path, *, fast: bool, workers: int) -> Iterator[_Finding]:
     if is_rescanned(out):
+        from .rescan_check import rescan_problems  # The first problem must not wait for it.
+
         yield from rescan_problems(out, fast=fast)
         return
     claim, finished = read_claim(out), sorted(finished_scenes(out))
+    folders = [out / "train" / f"{scene_id:06d}" for scene_id in finished]
+    check_sums = partial(_sum_problems, claim=claim)
     if isinstance(claim, RealClaim):
-        yield from _sum_problems(out, finished, claim)
+        yield from _of_scenes(check_sums, folders, workers)
         yield from () if fast else real_problems(out, claim)
         return
     yield from _of_dataset(_leftovers(out))
     yield from _of_dataset(_claim_problems(out, claim))
-    yield from _sum_problems(out, finished, claim)
     if fast:
+        yield from _of_scenes(check_sums, folders, workers)
         return
     try:
         cameras = {
@@ -93,6 +95,7 @@ def _problems(out: Path, *, fast: bool, workers: int) -> Iterator[_Finding]:
         infos = read_json(out / "models" / "models_info.json", dict[str, records.ModelInfo])
     except Unreadable as error:
         yield None, str(error)
+        yield from _of_scenes(check_sums, folders, workers)
         return
     yield from _of_dataset(_camera_problems(cameras, claim))
     expected = {str(part.obj_id) for part in claim.parts}
@@ -102,57 +105,56 @@ def _problems(out: Path, *, fast: bool, workers: int) -> Iterator[_Finding]:
     models: dict[int, Model] = {}
     for obj_id, info in infos.items():
         try:
-            models[int(obj_id)] = model = _read_model(out, int(obj_id), info)
+            models[int(obj_id)] = read_model(out, int(obj_id), info)
         except Unreadable as error:
             yield None, str(error)
-            continue
-        yield from _of_dataset(_model_problems(int(obj_id), model))
     check = partial(_scene_problems, claim=claim, cameras=cameras, models=models)
-    folders = [out / "train" / f"{scene_id:06d}" for scene_id in finished]
-    for scene_id, of_scene in zip(finished, _each(check, folders, workers), strict=True):
-        yield from ((scene_id, what) for what in of_scene)
+    yield from _of_scenes(check, folders, workers)
+    for number, model in models.items():
+        yield from _of_dataset(model_problems(number, model))
     yield from _of_dataset(_split_problems(out, cameras, finished, claim))
+    from .grasp_files import grasp_problems
+
     yield from _of_dataset(grasp_problems(out, claim.fingerprint, models))
 
 
-def _each(
-    check: Callable[[Path], list[str]], folders: list[Path], workers: int
-) -> Iterator[list[str]]:
-    if workers == 1 or len(folders) < 2:
-        yield from map(check, folders)
-        return
-    with ProcessPoolExecutor(workers, mp_context=SPAWN) as pool:
-        yield from pool.map(check, folders, chunksize=4)
+def _of_scenes(
+    check: Callable[[Path], Iterable[str]], folders: list[Path], workers: int
+) -> Iterator[_Finding]:
+    here = len(folders) if workers == 1 else 1  # The first problems must not wait for processes.
+    others = in_order(partial(_listed, check), folders[here:], workers=workers)
+    for folder, of_scene in zip(folders, chain(map(check, folders[:here]), others), strict=True):
+        yield from ((int(folder.name), what) for what in of_scene)
 
 
-def _scene_problems(folder: Path, **dataset: Any) -> list[str]:
-    return list(scene_problems(folder, **dataset))
+def _listed(check: Callable[[Path], Iterable[str]], folder: Path) -> list[str]:
+    return list(check(folder))
+
+
+def _scene_problems(folder: Path, *, claim: records.Claim, **dataset: Any) -> Iterator[str]:
+    yield from _sum_problems(folder, claim=claim)
+    from .scene_check import scene_problems  # It loads compiled code: first report changed files.
+
+    yield from scene_problems(folder, claim=claim, **dataset)
 
 
 def _of_dataset(problems: Iterable[str]) -> Iterator[_Finding]:
     return ((None, what) for what in problems)
 
 
-def _sum_problems(
-    out: Path, finished: Iterable[int], claim: records.Claim | RealClaim
-) -> Iterator[_Finding]:
-    """Yield files that changed after they were written, and scenes from a different dataset."""
-    for scene_id in finished:
-        folder = out / "train" / f"{scene_id:06d}"
-        try:
-            manifest = read_json(folder / MANIFEST, records.Manifest)
-        except Unreadable as error:
-            yield scene_id, str(error)
-            continue
-        yield from ((scene_id, what) for what in seal_problems(folder, manifest))
-        if manifest.get("scene_id", scene_id) != scene_id:  # real pictures have no scene_id
-            yield (
-                scene_id,
-                f"{MANIFEST}: scene_id is {manifest['scene_id']}: the folder may be a copy "
-                "of another scene",
-            )
-        if isinstance(claim, records.Claim):
-            yield from ((scene_id, what) for what in _other_dataset(manifest, claim))
+def _sum_problems(folder: Path, *, claim: records.Claim | RealClaim) -> Iterator[str]:
+    """Yield files of a scene that have changed, and signs that it is of another dataset."""
+    try:
+        manifest = read_json(folder / MANIFEST, records.Manifest)
+    except Unreadable as error:
+        yield str(error)
+        return
+    yield from seal_problems(folder, manifest)
+    scene_id = manifest.get("scene_id", int(folder.name))  # real pictures have no scene_id
+    if scene_id != int(folder.name):
+        yield f"{MANIFEST}: scene_id is {scene_id}: the folder may be a copy of another scene"
+    if isinstance(claim, records.Claim):
+        yield from _other_dataset(manifest, claim)
 
 
 def _other_dataset(manifest: Mapping[str, Any], claim: records.Claim) -> Iterator[str]:
@@ -204,39 +206,6 @@ def _leftovers(out: Path) -> Iterator[str]:
     for path in sorted(out.glob("train/*")):
         if path.name not in names and not path.name.startswith("."):
             yield f"train/{path.name} is no scene"
-
-
-def _read_model(out: Path, obj_id: int, info: records.ModelInfo) -> Model:
-    path = out / "models" / f"obj_{obj_id:06d}.ply"
-    if not path.is_file():
-        raise Unreadable(f"models/{path.name} is missing")
-    try:
-        mesh = trimesh.load_mesh(path, process=False)
-        vertices, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=int)
-    except Exception as error:  # a damaged PLY can raise any exception in trimesh
-        raise Unreadable(f"models/{path.name} cannot be read: {error}") from error
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise Unreadable(f"models/{path.name} has no faces, or faces without vertices")
-    for line in split(path)[0]:
-        if line.startswith(TEXTURE) and not (path.parent / line.split()[-1]).is_file():
-            raise Unreadable(f"models/{line.split()[-1]} is missing")
-    return Model(vertices=vertices, faces=faces, info=info)
-
-
-def _model_problems(obj_id: int, model: Model) -> Iterator[str]:
-    info, name = model.info, f"models_info.json: object {obj_id}"
-    low, size = model.vertices.min(axis=0), np.ptp(model.vertices, axis=0)
-    if np.abs([low - info.low, size - info.size]).max() > _MODEL_MM:
-        yield f"{name}: box from {info.low}, size {info.size}; the PLY's: {low}, {size}"
-    diameter_mm = diameter(model.vertices)
-    if abs(diameter_mm - info.diameter) > _MODEL_MM:
-        yield f"{name}: diameter is {info.diameter}, the PLY's is {diameter_mm:.6f}"
-    for k, symmetry in enumerate(info.symmetries_discrete):
-        if not is_rigid(np.array(symmetry, dtype=float).reshape(4, 4)):
-            yield f"{name}: discrete symmetry {k} is not a rigid motion"
-    for k, continuous in enumerate(info.symmetries_continuous):
-        if abs(np.linalg.norm(continuous.axis) - 1) > 1e-6:
-            yield f"{name}: the axis of continuous symmetry {k} has not length 1"
 
 
 def _split_problems(

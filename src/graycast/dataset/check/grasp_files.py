@@ -18,7 +18,8 @@ from ..files.places import SPLITS
 from ..files.records import Matrix3, OneImage, Pose, Positive, Record, Vector
 from ..files.safe_reading import Unreadable, read_json
 from ..files.scene_folder import SceneFolder
-from .plain_scene import Model, transform_of
+from .model_check import Model
+from .plain_scene import transform_of
 
 GRASPS, GRASP_CLAIM = "grasps", "grasps.json"
 GRASP_FORMAT = 1

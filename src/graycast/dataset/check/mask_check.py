@@ -1,18 +1,20 @@
 """Check masks, counts and boxes of a scene for consistency and against the posed models."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, UInt16
 from pycocotools import mask as coco_mask
 
-from ...base.mask_box import mask_box, overlap
+from ...base.mask_box import Box, Window, mask_box, overlap
 from ...rig.meshdepth import Raster, rasterize
 from ..files import records
-from ..files.safe_reading import Unreadable, read_mask
+from ..files.safe_reading import Unreadable, content_of, mask_pixels
 from ..files.scene_folder import of_sensor
-from .plain_scene import Model, Plain, transform_of
+from .model_check import Model
+from .plain_scene import Plain, transform_of
 
 # In single precision, a renderer may put a pixel whose centre is very near an edge on either side.
 # With 40 built-in parts, Mitsuba did so for at most one pixel of a mask. Two pixels and 2 % of the
@@ -46,32 +48,55 @@ def mask_problems(
     taken = np.zeros(size, dtype=bool)
     known: list[tuple[int, dict[str, object]]] = []
     for i, (name, pose) in enumerate(zip(names, scene.poses, strict=True)):
-        mask, visible = (_sized_mask(place[kind] / name, size) for kind in ("mask", "mask_visib"))
-        if any(
-            (place[kind] / name).read_bytes() != (place[f"{kind}_sl"] / name).read_bytes()
-            for kind in ("mask", "mask_visib")
-        ):
+        data = {kind: content_of(path / name)[0] for kind, path in place.items()}
+        if any(data[kind] != data[f"{kind}_sl"] for kind in ("mask", "mask_visib")):
             yield f"instance {i}: the masks of sl differ from the others"
+        masks = _read_masks(data, name, size)
+        window = masks.window
+        mask, visible = masks.mask[window], masks.visible[window]
         if (visible & ~mask).any():
             yield f"instance {i}: mask_visib reaches beyond mask"
-        if (visible & taken).any():
+        if (visible & taken[window]).any():
             yield f"instance {i}: mask_visib overlaps that of another instance"
-        taken |= visible
+        taken[window] |= visible
         for suffix, infos in scene.info.items():
             if i < len(infos):
-                depth = scene.image[f"depth{suffix}"]
                 file = scene.json_name(f"scene_gt_info{suffix}")
-                for what in _info_problems(infos[i], mask, visible, depth):
+                for what in _info_problems(infos[i], masks, scene.image[f"depth{suffix}"]):
                     yield f"instance {i}: {file}: {what}"
         if pose.obj_id in models and i < len(scene.info[""]):
-            for what in _surface_problems(scene, i, mask, visible, models[pose.obj_id], camera):
+            for what in _surface_problems(scene, i, masks, models[pose.obj_id], camera):
                 yield f"instance {i}: {what}"
         if visible.any():
-            runs = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))
-            known.append((i, {"runs": runs["counts"], "box": list(mask_box(mask))}))
+            whole = np.zeros(size, dtype=np.uint8, order="F")  # COCO counts down the columns.
+            whole[window] = visible
+            runs = coco_mask.encode(whole)["counts"]
+            known.append((i, {"runs": runs, "box": list(masks.box)}))
     for suffix, coco in scene.coco.items():
         for what in _coco_problems(scene, suffix, coco, known, size):
             yield f"{scene.json_name(f'scene_gt_coco{suffix}')}: {what}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Masks:
+    """The masks of an instance, their boxes as in COCO, and a window that contains both masks."""
+
+    mask: Bool[np.ndarray, "h w"]
+    visible: Bool[np.ndarray, "h w"]
+    box: Box
+    visible_box: Box
+    window: Window
+
+
+def _read_masks(data: Mapping[str, bytes], name: str, size: tuple[int, int]) -> _Masks:
+    mask = visible = _sized_mask(data["mask"], f"mask/{name}", size)
+    box = visible_box = both = mask_box(mask)
+    if data["mask_visib"] != data["mask"]:  # They are equal if nothing hides the instance.
+        visible = _sized_mask(data["mask_visib"], f"mask_visib/{name}", size)
+        visible_box, both = mask_box(visible), mask_box(mask | visible)
+    x, y, columns, rows = both
+    window = slice(y, y + rows), slice(x, x + columns)
+    return _Masks(mask=mask, visible=visible, box=box, visible_box=visible_box, window=window)
 
 
 def _of_no_image(path: Path, scene: Plain) -> list[str]:
@@ -82,21 +107,19 @@ def _of_no_image(path: Path, scene: Plain) -> list[str]:
     return sorted(entry.name for entry in path.glob("*") if entry.name[:6] not in has)
 
 
-def _sized_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    mask = read_mask(path)
+def _sized_mask(data: bytes, name: str, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    mask = mask_pixels(data, name)
     if mask.shape != size:
-        raise Unreadable(f"{path.parent.name}/{path.name} is {mask.shape}, it must be {size}")
+        raise Unreadable(f"{name} is {mask.shape}, it must be {size}")
     return mask
 
 
 def _info_problems(
-    info: records.Info,
-    mask: Bool[np.ndarray, "h w"],
-    visible: Bool[np.ndarray, "h w"],
-    depth: UInt16[np.ndarray, "h w"],
+    info: records.Info, masks: _Masks, depth: UInt16[np.ndarray, "h w"]
 ) -> Iterator[str]:
+    mask, visible = masks.mask[masks.window], masks.visible[masks.window]
     mask_px, visible_px = int(mask.sum()), int(visible.sum())
-    valid_px = int((depth[mask] > 0).sum())
+    valid_px = int((depth[masks.window][mask] > 0).sum())
     if info.px_count_visib != visible_px:
         yield f"px_count_visib is {info.px_count_visib}, the mask has {visible_px}"
     if info.px_count_valid != valid_px:
@@ -104,21 +127,21 @@ def _info_problems(
     fraction = info.px_count_visib / info.px_count_all if info.px_count_all else 0.0
     if abs(info.visib_fract - fraction) > 1e-9:
         yield f"visib_fract is {info.visib_fract}, the counts make it {fraction}"
-    if info.bbox_visib != _bop_box(visible):
-        yield f"bbox_visib is {info.bbox_visib}, the mask's is {_bop_box(visible)}"
+    if info.bbox_visib != _bop_box(masks.visible_box):
+        yield f"bbox_visib is {info.bbox_visib}, the mask's is {_bop_box(masks.visible_box)}"
     if visible_px == 0:
         if info.bbox_obj != [-1, -1, -1, -1]:
             yield f"bbox_obj is {info.bbox_obj} though nothing is visible"
         return
     x, y, w, h = info.bbox_obj
-    height_px, width_px = mask.shape
+    height_px, width_px = masks.mask.shape
     left, top = max(x, 0), max(y, 0)
     right, bottom = min(x + w, width_px - 1), min(y + h, height_px - 1)
     whole = (x, y, x + w, y + h) == (left, top, right, bottom)
     # If a silhouette leaves the image, `_outside_problems` checks its box against the model.
-    if whole and (info.bbox_obj != _bop_box(mask) or info.px_count_all != mask_px):
+    if whole and (info.bbox_obj != _bop_box(masks.box) or info.px_count_all != mask_px):
         here = f"{info.bbox_obj} with {info.px_count_all} pixels"
-        yield f"bbox_obj is {here}, the mask's is {_bop_box(mask)} with {mask_px}"
+        yield f"bbox_obj is {here}, the mask's is {_bop_box(masks.box)} with {mask_px}"
     if not whole and info.px_count_all < mask_px:
         yield f"px_count_all is {info.px_count_all}, the image alone has {mask_px}"
 
@@ -126,8 +149,7 @@ def _info_problems(
 def _surface_problems(
     scene: Plain,
     i: int,
-    mask: Bool[np.ndarray, "h w"],
-    visible: Bool[np.ndarray, "h w"],
+    masks: _Masks,
     model: Model,
     camera: records.Camera,
 ) -> Iterator[str]:
@@ -135,12 +157,13 @@ def _surface_problems(
     pose = scene.poses[i]
     T = transform_of(pose.cam_R_m2c, pose.cam_t_m2c)
     raster = rasterize(model.vertices @ T[:3, :3].T + T[:3, 3], model.faces, scene.lens)
-    window, own = overlap(raster.top_px, raster.left_px, raster.z.shape, mask.shape)
+    window, own = overlap(raster.top_px, raster.left_px, raster.z.shape, masks.mask.shape)
     z_mm = raster.z[own]
-    rendered, mask_px = ~np.isnan(z_mm), int(mask.sum())
+    rendered = ~np.isnan(z_mm)
     allowed = EDGE_PX + EDGE_SHARE * _outline_px(rendered)
-    mask, visible = mask[window], visible[window]
-    wrong = int((rendered != mask).sum()) + mask_px - int(mask.sum())
+    mask, visible = masks.mask[window], masks.visible[window]
+    outside = int(masks.mask[masks.window].sum()) - int(mask.sum())
+    wrong = int((rendered != mask).sum()) + outside
     if wrong > allowed:
         yield (
             f"mask differs from the model at its pose in {wrong} of {int(rendered.sum())} pixels; "
@@ -173,7 +196,7 @@ def _outside_problems(info: records.Info, raster: Raster) -> Iterator[str]:
     if abs(info.px_count_all - int(rendered.sum())) > allowed:
         yield f"px_count_all is {info.px_count_all}, the model covers {int(rendered.sum())} pixels"
     if rendered.any() and info.px_count_visib > 0:
-        x, y, w, h = _bop_box(rendered)
+        x, y, w, h = _bop_box(mask_box(rendered))
         box = [x + raster.left_px, y + raster.top_px, w, h]
         if np.abs(np.subtract(info.bbox_obj, box)).max() > 2:
             yield f"bbox_obj is {info.bbox_obj}, the model covers {box}"
@@ -220,12 +243,11 @@ def _counts(runs: records.RunLengths) -> bytes:
 
 def _outline_px(mask: Bool[np.ndarray, "h w"]) -> int:
     """Return the number of pairs of neighbouring pixels that the border of a mask separates."""
-    mask = np.pad(mask, 1)
-    across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
-    return int(across.sum()) + int(down.sum())
+    borders = (np.diff(mask, axis=axis, prepend=False, append=False) for axis in (0, 1))
+    return sum(map(np.count_nonzero, borders))
 
 
-def _bop_box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
+def _bop_box(box: Box) -> list[int]:
     """Return BOP's [x, y, last column - first, last row - first]; -1 for an empty mask."""
-    x, y, columns, rows = mask_box(mask)
+    x, y, columns, rows = box
     return [x, y, columns - 1, rows - 1] if columns else [-1, -1, -1, -1]

@@ -4,22 +4,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ...base.frames import inverse, rigid
 from ...camera.decode import Reason
 from ...rig.optics import Optics, optics_of
 from ..files import records
 from ..files.scene_folder import OWN_OPTIONS, SceneFolder, of_sensor, picture_name
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Model:
-    """The content of `models/` for one object [mm]."""
-
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    info: records.ModelInfo
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,19 +2,17 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...base.errors import ConfigError
 from ...camera.decode import POSITIONED
-from ...camera.picture import gray_picture
 from ...camera.sensor import Capture
-from ...camera.stack import code_of, describe_frames, read_description
 from ...rig.pattern import AXES
 from ..files import records
 from ..files.safe_reading import Unreadable
-from ..files.sample import Raw
 from ..files.scene_folder import SceneFolder, of_sensor
 from ..write.raw import (
     EXPOSURE,
@@ -25,6 +23,9 @@ from ..write.raw import (
     read_capture,
     read_code_maps,
 )
+
+if TYPE_CHECKING:  # Most scenes have no such files, and a check must not wait for these packages.
+    from ..files.sample import Raw
 
 # A pixel with one of these reasons has a projector position, even if its depth was rejected.
 _GRAY_DN = 1  # Values halfway between two steps may round differently on other processors.
@@ -76,7 +77,9 @@ def _folder_problems(files: SceneFolder, number: int, facts: records.RawFacts) -
             yield f"{map_file.name}/ is there, but manifest.json does not tell of it"
 
 
-def _stack_problems(frames: Path, raw: Raw, facts: records.FramesRecord) -> Iterator[str]:
+def _stack_problems(frames: Path, raw: "Raw", facts: records.FramesRecord) -> Iterator[str]:
+    from ...camera.stack import code_of, describe_frames, read_description
+
     path = frames / STACK
     try:
         description = read_description(path)
@@ -98,6 +101,8 @@ def _picture_problems(
     camera: records.Camera,
     gray: UInt8[np.ndarray, "h w"],
 ) -> Iterator[str]:
+    from ...camera.picture import gray_picture
+
     count, *size = capture.frames.shape
     if size != [camera.height, camera.width]:
         yield f"{frames}/ has pictures of {size}, the camera has {[camera.height, camera.width]}"
@@ -120,12 +125,11 @@ def _picture_problems(
 def _code_problems(
     maps: Mapping[str, Float32[np.ndarray, "h w"]], reason: UInt8[np.ndarray, "h w"]
 ) -> Iterator[str]:
-    positioned = np.isin(reason, POSITIONED)
     for name, image in maps.items():
         if image.shape != reason.shape:
             yield f"map of {name} is {image.shape}, the camera has {reason.shape}"
             continue
-        wrong = int((np.isfinite(image) != positioned).sum())
+        wrong = int((np.isfinite(image) != np.isin(reason, POSITIONED)).sum())
         if wrong:
             yield f"map of {name} and reason_sl disagree in {wrong} pixels on what is decoded"
         least = 0.0 if name.startswith("sigma") else -0.5  # A pixel is a square around its centre.

@@ -63,12 +63,20 @@ def read_mask(path: Path) -> np.ndarray:
     Raises:
         Unreadable: the file is missing, damaged or not a mask.
     """
-    image = read_png(path)
-    name = f"{path.parent.name}/{path.name}"
+    return mask_pixels(*content_of(path))
+
+
+def mask_pixels(data: bytes, name: str) -> np.ndarray:
+    """Return the mask of a PNG in memory, checked as in `read_mask`.
+
+    Raises:
+        Unreadable: the data are damaged or not a mask.
+    """
+    image = png_pixels(data, name)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise Unreadable(f"{name} is {image.shape} {image.dtype}, it must be one channel of uint8")
     mask = image == 255
-    if (image[~mask] != 0).any():
+    if np.count_nonzero(image) != np.count_nonzero(mask):
         raise Unreadable(f"{name} has values other than 0 and 255")
     return mask
 
@@ -79,7 +87,7 @@ def read_png(path: Path) -> np.ndarray:
     Raises:
         Unreadable: the file is missing or damaged.
     """
-    return png_pixels(*_named(path))
+    return png_pixels(*content_of(path))
 
 
 def read_picture(path: Path) -> np.ndarray:
@@ -88,11 +96,15 @@ def read_picture(path: Path) -> np.ndarray:
     Raises:
         Unreadable: the file is missing or damaged.
     """
-    return pixels(*_named(path))
+    return pixels(*content_of(path))
 
 
-def _named(path: Path) -> tuple[bytes, str]:
-    """Return a file's content, and its name with its folder for error messages."""
+def content_of(path: Path) -> tuple[bytes, str]:
+    """Return a file's content, and its name with its folder for error messages.
+
+    Raises:
+        Unreadable: the file is missing.
+    """
     name = f"{path.parent.name}/{path.name}"
     try:
         return path.read_bytes(), name

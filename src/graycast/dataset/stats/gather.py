@@ -1,8 +1,7 @@
 """Add up scenes to the statistics of a dataset, in histograms whose size stays constant."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...base.spawn import SPAWN
+from ...base.spawn import in_order
 from ...camera.decode import pooled_shares
 from ..read.scene_content import scene_content
 from ..read.stored import StoredScene, open_dataset
@@ -136,7 +135,8 @@ def dataset_statistics(
     stored = open_dataset(dataset)
 
     def passing() -> Iterator[SceneFigures]:
-        for done, figures in enumerate(_each(stored.pictures, workers), start=1):
+        each = in_order(_read, stored.pictures, workers=workers)
+        for done, figures in enumerate(each, start=1):
             progress.count("scenes", done, len(stored.pictures))
             yield figures
 
@@ -209,14 +209,6 @@ def _quantiles(
     k = np.searchsorted(total, wanted).clip(max=len(value) - 1)
     inside = (wanted - (total[k] - weight[k])) / weight[k] - 0.5
     return value[k] + inside if continuous else value[k]
-
-
-def _each(scenes: Sequence[StoredScene], workers: int) -> Iterator[SceneFigures]:
-    if workers == 1:
-        yield from map(_read, scenes)
-        return
-    with ProcessPoolExecutor(workers, mp_context=SPAWN) as pool:
-        yield from pool.map(_read, scenes, chunksize=4)
 
 
 def _read(scene: StoredScene) -> SceneFigures:

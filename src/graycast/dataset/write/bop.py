@@ -22,30 +22,17 @@ from ...base.mask_box import mask_box
 from ...base.streams import OF_IMAGE
 from ...camera.decode import Reason
 from ...rendering.radiance import Silhouette
-from ...rig.optics import Optics
 from ..files.json_text import json_bytes
 from ..files.records import MM_PER_M
 from ..files.sample import Sample, labelled
 from ..files.scene_folder import SCANNER, of_sensor, picture_name
 from ..files.seal import FURTHER, FURTHER_TIMINGS, OWN_FACTS, sealed
+from .claim import distortion_json
 from .coco import add_images, run_lengths, scene_annotation, scene_coco, scene_image
 from .picture_bytes import depth_steps, mask_png, modulation_steps, png, probability_steps
 from .raw import raw_facts, raw_files
 
 _NOTHING = [-1, -1, -1, -1]  # BOP gives this box to an invisible instance.
-
-
-def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
-    """Return the content of `camera.json`, with OpenCV's five coefficients if the lens distorts."""
-    return {
-        "cx": camera.cx_px,
-        "cy": camera.cy_px,
-        "depth_scale": scale_mm,
-        "fx": camera.fx_px,
-        "fy": camera.fy_px,
-        "height": camera.height_px,
-        "width": camera.width_px,
-    } | _distortion(camera)
 
 
 def scene_files(samples: Iterable[Sample], scale_mm: float) -> Iterator[tuple[str, bytes]]:
@@ -231,11 +218,6 @@ def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
         )
 
 
-def _distortion(camera: Optics) -> dict[str, Any]:
-    """Return the lens distortion, under a key that BOP does not define; empty for an ideal lens."""
-    return {"distortion": list(camera.distortion)} if camera.has_distortion else {}
-
-
 def _view(sample: Sample, scale_mm: float) -> dict[str, Any]:
     T_cam_world = inverse(sample.scene.T_world_cam)
     camera = sample.scene.rig.camera
@@ -244,7 +226,7 @@ def _view(sample: Sample, scale_mm: float) -> dict[str, Any]:
         "cam_R_w2c": T_cam_world[:3, :3].ravel(),
         "cam_t_w2c": T_cam_world[:3, 3] * MM_PER_M,
         "depth_scale": scale_mm,
-    } | _distortion(camera)
+    } | distortion_json(camera)
 
 
 def _T_cam_part(sample: Sample) -> Float[np.ndarray, "n 4 4"]:

@@ -7,7 +7,7 @@ import platform
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel
@@ -18,10 +18,12 @@ from ...base.version import __version__
 from ...rig.former_names import with_current_names
 from ...rig.optics import Optics
 from ...rig.pair import Rig
-from ...world.parts import Part
 from ..files.json_text import plain
 from ..files.records import FORMAT_VERSION
 from ..files.seal import SUMS
+
+if TYPE_CHECKING:  # A check reads claims, and must not wait for the packages that make parts.
+    from ...world.parts import Part
 
 BESIDE_CONFIG = ("files", "scanner")  # A claim has these in addition to the configuration's keys.
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # The fingerprint does not cover these.
@@ -53,7 +55,7 @@ class Taker:
 def make_claim(
     config: Mapping[str, Any],
     seed: int,
-    parts: tuple[Part, ...],
+    parts: "tuple[Part, ...]",
     rig: Rig,
     depth_scale_mm: float,
     takers: tuple[Taker, ...] = (),
@@ -155,6 +157,24 @@ def rig_of(described: Mapping[str, Any]) -> Rig:
     return Rig(**values | lenses | {"T_cam_proj": np.array(values["T_cam_proj"], dtype=np.float64)})
 
 
+def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
+    """Return the content of `camera.json`, with OpenCV's five coefficients if the lens distorts."""
+    return {
+        "cx": camera.cx_px,
+        "cy": camera.cy_px,
+        "depth_scale": scale_mm,
+        "fx": camera.fx_px,
+        "fy": camera.fy_px,
+        "height": camera.height_px,
+        "width": camera.width_px,
+    } | distortion_json(camera)
+
+
+def distortion_json(camera: Optics) -> dict[str, Any]:
+    """Return the lens distortion, under a key that BOP does not define; empty for an ideal lens."""
+    return {"distortion": list(camera.distortion)} if camera.has_distortion else {}
+
+
 def _unworded(item: Any) -> Any:
     """Turn lists into tuples, and the word 'inf' into infinity."""
     if isinstance(item, Mapping):
@@ -164,7 +184,7 @@ def _unworded(item: Any) -> Any:
     return math.inf if item == "inf" else item
 
 
-def part_digest(part: Part) -> str:
+def part_digest(part: "Part") -> str:
     """Return the SHA-256 of a part's shape, material, density, friction and symmetries."""
     digest = hashlib.sha256()
     mesh, material = part.mesh, part.material

@@ -17,12 +17,11 @@ from scipy.spatial.distance import cdist
 
 from ...base.color import srgb
 from ...base.errors import DatasetError, MeshError
-from ...base.ply import COLORS, header
+from ...base.ply import COLORS, TEXTURE, header
 from ...world.parts import Mesh, Part, Symmetry, load_mesh
 from ..files.records import MM_PER_M, Continuous, ModelInfo
 from ..files.safe_reading import Unreadable, read_json
 
-TEXTURE = "comment TextureFile"  # A model with a texture has this in its header.
 _CHUNK = 2048  # rows of the distance matrix that are in memory at a time
 
 

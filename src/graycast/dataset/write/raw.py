@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -21,15 +21,15 @@ from PIL import Image, UnidentifiedImageError
 
 from ...base.errors import ConfigError
 from ...base.file_limits import refuse_large_picture
-from ...camera.rig_file import load_scanner, scanner_text
 from ...camera.sensor import Capture
-from ...camera.stack import describe_frames, describe_stack
 from ...rig.pattern import AXES
 from ..files import records
 from ..files.safe_reading import Unreadable, read_json, read_png, record_as
-from ..files.sample import Raw
 from ..files.scene_folder import of_sensor
 from ..files.seal import facts_of
+
+if TYPE_CHECKING:  # Most scenes have no such files, and a check must not wait for these packages.
+    from ..files.sample import Raw
 
 _THREADS = 4  # PNG decoding releases the GIL.
 FRAMES = "frames"
@@ -43,7 +43,7 @@ _NOISY_PNG = [
 ]
 
 
-def raw_files(raw: Raw, *, sensor: str = "", number: int = 0) -> Iterator[tuple[str, bytes]]:
+def raw_files(raw: "Raw", *, sensor: str = "", number: int = 0) -> Iterator[tuple[str, bytes]]:
     """Yield each file as (path in the scene's folder, content); equal values give equal files."""
     if raw.capture is not None:
         yield from _frame_files(raw, raw.capture, frames_folder(sensor, number))
@@ -54,8 +54,10 @@ def raw_files(raw: Raw, *, sensor: str = "", number: int = 0) -> Iterator[tuple[
             yield f"{folder}/{number:06d}.tiff", _tiff(image.astype(np.float32))
 
 
-def raw_facts(raw: Raw) -> dict[str, Any]:
+def raw_facts(raw: "Raw") -> dict[str, Any]:
     """Return the entries about these files for a scene's manifest."""
+    from ...camera.stack import describe_frames
+
     facts: dict[str, Any] = {}
     if raw.capture is not None:
         facts["frames"] = {
@@ -73,7 +75,10 @@ def frames_folder(sensor: str, number: int) -> str:
     return of_sensor(FRAMES, sensor) + (f"_{number:06d}" if number else "")
 
 
-def _frame_files(raw: Raw, capture: Capture, folder: str) -> Iterator[tuple[str, bytes]]:
+def _frame_files(raw: "Raw", capture: Capture, folder: str) -> Iterator[tuple[str, bytes]]:
+    from ...camera.rig_file import scanner_text
+    from ...camera.stack import describe_stack
+
     names = _names(capture)
     for name, image in zip(names, capture.frames, strict=True):
         yield f"{folder}/{name}", _png(image)
@@ -112,7 +117,7 @@ _PREDICTOR, _FLOATING_POINT = 317, 3  # These are the tag and the value of TIFF 
 # --- reading -----------------------------------------------------------------------------------
 
 
-def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> Raw | None:
+def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> "Raw | None":
     """Return the captured pictures of an image and their scanner; None if they are not stored.
 
     Raises:
@@ -122,6 +127,9 @@ def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> Raw | Non
     record = facts.frames
     if record is None:
         return None
+    from ...camera.rig_file import load_scanner
+    from ..files.sample import Raw
+
     name = frames_folder(sensor, number)
     folder = scene / name
     with ThreadPoolExecutor(_THREADS) as pool:

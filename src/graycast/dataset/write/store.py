@@ -28,8 +28,8 @@ from ..files.safe_reading import Unreadable
 from ..files.sample import Sample
 from ..files.scene_folder import SceneFolder, of_sensor, picture_name
 from ..files.seal import SUMS, sha256
-from .bop import camera_json, scene_files
-from .claim import Taker, make_claim, refuse_other
+from .bop import scene_files
+from .claim import Taker, camera_json, make_claim, refuse_other
 from .coco import coco_categories, split_coco
 from .models import model_files, models_info
 from .set_aside import SETASIDE

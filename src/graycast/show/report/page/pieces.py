@@ -3,7 +3,6 @@
 import hashlib
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +14,7 @@ from typing import Protocol, runtime_checkable
 from ....base.errors import GraycastError
 from ....base.folder import beside, remove_left, write_whole
 from ....base.progress import UNWATCHED, ProgressMeter
-from ....base.spawn import SPAWN
+from ....base.spawn import in_order
 
 PIECES = "scenes"  # folder from which the scripts of the page read the pieces
 _STAMP = "stamp"
@@ -102,7 +101,8 @@ def write_pieces(
     todo = [piece for piece in pieces if not _is_current(folder, piece)]
     current = len(pieces) - len(todo)
     progress.count(what, current, len(pieces))
-    for done, _ in enumerate(_finished_keys(todo, folder, workers), start=current + 1):
+    keys = in_order(partial(_make, folder=folder), todo, workers=workers)
+    for done, _ in enumerate(keys, start=current + 1):
         progress.count(what, done, len(pieces))
     gone = {entry.name for entry in folder.iterdir()} - {piece.key for piece in pieces}
     for key in gone:
@@ -164,15 +164,6 @@ def _open_folder(out: Path, source: Path) -> None:
 def _is_current(folder: Path, piece: Piece) -> bool:
     stamp = folder / piece.key / _STAMP
     return stamp.exists() and stamp.read_text() == piece.stamp()
-
-
-def _finished_keys(todo: Sequence[Piece], folder: Path, workers: int) -> Iterator[str]:
-    make = partial(_make, folder=folder)
-    if workers == 1 or len(todo) < 2:
-        yield from map(make, todo)
-        return
-    with ProcessPoolExecutor(workers, mp_context=SPAWN) as pool:
-        yield from pool.map(make, todo, chunksize=2)
 
 
 def _make(piece: Piece, *, folder: Path) -> str:

@@ -2,9 +2,10 @@
 
 python -m studies.belt_speed
 
-Prints the table of docs/measurements/motion.md: 12 brackets under `like-phoxi-m` at `small`, 64 paths per pixel, columns
-only, one exposure, and a picture every 20 ms. The belt moves along the baseline. Each cell has the
-decoded share of the parts' pixels [%], the share of it that is wrong [%], and the median error.
+Prints the table of docs/measurements/motion.md: 12 brackets under `like-phoxi-m` at `small`, 64
+paths per pixel, columns only, one exposure, and a picture every 20 ms. The belt moves along the
+baseline. Each cell has the decoded share of the parts' pixels [%], the share of it that is wrong
+[%], and the median error [um].
 """
 
 import numpy as np

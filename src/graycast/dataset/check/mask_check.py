@@ -244,7 +244,7 @@ def _counts(runs: records.RunLengths) -> bytes:
 def _outline_px(mask: Bool[np.ndarray, "h w"]) -> int:
     """Return the number of pairs of neighbouring pixels that the border of a mask separates."""
     borders = (np.diff(mask, axis=axis, prepend=False, append=False) for axis in (0, 1))
-    return sum(map(np.count_nonzero, borders))
+    return sum(int(border.sum()) for border in borders)
 
 
 def _bop_box(box: Box) -> list[int]:

@@ -1,9 +1,13 @@
-"""Worker processes do not run the script that starts them."""
+"""Worker processes do not run the script that starts them; their results come in order."""
 
+import os
 import subprocess
 import sys
+from functools import partial
 
 import pytest
+
+from graycast.base.spawn import in_order
 
 SCRIPT = """
 import math
@@ -28,3 +32,20 @@ def test_a_script_without_a_main_guard_runs_only_once(tmp_path):
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
     lines = ["the script runs", "a process", "[2.0, 3.0]", "True"]
     assert done.stdout.splitlines() == lines, done.stderr
+
+
+@pytest.mark.slow
+def test_results_come_in_the_order_of_the_items_from_several_processes():
+    process_of = partial(eval, "__import__('os').getpid()")  # The item is the set of its names.
+    processes = list(in_order(process_of, [{} for _ in range(8)], workers=2))
+    assert len(processes) == 8 and os.getpid() not in processes
+    assert list(in_order(abs, [-3, 1, -2, 0, -7, 5], workers=2)) == [3, 1, 2, 0, 7, 5]
+
+
+@pytest.mark.slow
+def test_several_processes_start_items_only_a_little_ahead_of_the_results(tmp_path):
+    """The folder of each item shows that a process has started it."""
+    started = in_order(os.mkdir, [tmp_path / f"{i}" for i in range(50)], workers=2)
+    next(started)
+    assert len(list(tmp_path.iterdir())) <= 6
+    started.close()

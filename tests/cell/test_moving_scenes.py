@@ -159,7 +159,7 @@ def test_an_exposure_longer_than_the_motion_between_renders_is_a_mean_over_its_t
 # --- a plane that moves --------------------------------------------------------------------------
 
 
-def seen_columns(rig, motion, *, steps, wall_z_m=DISTANCE_M):
+def decoded_columns(rig, motion, *, steps, wall_z_m=DISTANCE_M):
     """Return decoded columns of a facing wall that moves, and the timeline of the scan."""
     code = CodeSpec(codec="gray_phase", axes=("column",), period_px=PERIOD_PX, steps=steps).code(
         rig.projector.width_px, rig.projector.height_px
@@ -204,7 +204,7 @@ def test_a_plane_that_approaches_has_the_phase_error_of_the_closed_form(rig, ste
     speed_m_s = -0.06
     velocity_m_s = tuple(speed_m_s * SOMEWHERE[:3, 2])  # Along the axis of the camera
     motion = MotionSection(belt_m_s=velocity_m_s, picture_s=0.02, truth_picture=0)
-    column, line, code = seen_columns(rig, motion, steps=steps)
+    column, line, code = decoded_columns(rig, motion, steps=steps)
     time_s = line.middle_s[0, [k for k, f in enumerate(code.frames) if f.kind == "phase"]]
     now, first, middle, last = (
         columns_of_wall(rig, DISTANCE_M + speed_m_s * t)

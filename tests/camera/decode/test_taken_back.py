@@ -78,15 +78,15 @@ def test_a_moving_wall_has_the_depth_of_the_reference_time(rig, codec, velocity_
     frames = pictures_of_wall(rig, code, T)
     truth_m = wall_depth(rig.camera, *WALL_M)
     now_m = points(rig.camera, truth_m)
-    seen = np.all(
+    in_all = np.all(
         [in_picture(rig.camera, project(rig.camera, transform_points(one, now_m))) for one in T],
         axis=0,
     )
     good = {}
     for name, stack in (("taken", frames), ("back", take_back(frames, code, rig, T))):
         depth = triangulate(decode(stack, code, DecodeSpec(), LEVELS), rig)
-        good[name] = (np.abs(depth.depth_m - truth_m) < 5e-4)[seen].mean()
-    assert seen.mean() > 0.5
+        good[name] = (np.abs(depth.depth_m - truth_m) < 5e-4)[in_all].mean()
+    assert in_all.mean() > 0.5
     assert good["back"] > 0.9  # Pictures between pixels blur the edges of stripes.
     assert good["taken"] < good["back"] - 0.15
 

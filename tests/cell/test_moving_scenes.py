@@ -70,6 +70,7 @@ def test_the_stated_picture_has_the_time_of_the_ground_truth(sections):
     steps = (0.012, 0.018) if not picture_s else (0.02, 0.02)
     assert np.allclose(np.diff(line.start_s, axis=1).T, steps)
     assert line.start_s[1, 0] - line.start_s[0, -1] == pytest.approx(steps[0])
+    assert line.scan_s == pytest.approx(6 * sum(steps))
 
 
 @pytest.mark.parametrize(

@@ -212,11 +212,12 @@ class Timeline:
     """The times of all pictures of a scan, exposure by exposure, in the order of the code.
 
     `start_s` is the start of each picture after the time of the ground truth, `duration_s` is its
-    exposure.
+    exposure. `scan_s` is the time from the first picture until the next scan could start.
     """
 
     start_s: Float[np.ndarray, "exposures n"]
     duration_s: Float[np.ndarray, " exposures"]
+    scan_s: float
 
     @property
     def middle_s(self) -> Float[np.ndarray, "exposures n"]:
@@ -249,4 +250,5 @@ def timeline(motion: MotionSection, times: ExposureTimes, frames: int) -> Timeli
             "give one of them"
         )
     middle_s = (start_s + duration_s[:, None] / 2).ravel()[picture]
-    return Timeline(start_s=start_s - middle_s, duration_s=duration_s)
+    scan_s = float(step_s.sum() * frames)
+    return Timeline(start_s=start_s - middle_s, duration_s=duration_s, scan_s=scan_s)

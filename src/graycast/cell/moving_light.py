@@ -119,6 +119,7 @@ class MovingLight:
         self.record = {
             "start_s": line.start_s.tolist(),
             "exposure_s": line.duration_s.tolist(),
+            "scan_s": line.scan_s,
             "pictures": line.start_s.size,
             "renders": len(plan.time_s),
         }

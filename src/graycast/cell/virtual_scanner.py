@@ -81,7 +81,7 @@ class VirtualScanner:
             name: name of the scanner if the cell has several; None is the first one.
             bin: the bin of another scanner; None makes a new one.
             device: render device, as in `open_renderer`.
-            readout_s: the time to read out a picture.
+            readout_s: the time to read out a picture; a cell with `motion` has its own times.
 
         Raises:
             GraycastError, ValueError: see `load_cell` and `VirtualBin`.
@@ -201,7 +201,7 @@ class VirtualScanner:
         frame = ScannerFrame(
             index=self._index,
             time_s=self._clock_s,
-            duration_s=scan_seconds(capture, readout_s=self._readout_s),
+            duration_s=self._duration_s(image),
             pictures=len(capture.frames) * len(capture.times_s),
             camera=depth.camera,
             depth_m=depth.depth_m,
@@ -240,6 +240,11 @@ class VirtualScanner:
             )  # fmt: skip
         except ValueError as error:
             raise ScannerError(f"scanner {rig.name} takes no picture: {error}") from error
+
+    def _duration_s(self, image: SceneImage) -> float:
+        if image.motion is not None:
+            return image.motion["scan_s"]
+        return scan_seconds(image.capture, readout_s=self._readout_s)
 
     def _truth_of(self, image: SceneImage) -> FrameTruth:
         numbers, layout, truth = self.bin.numbers, self.bin.layout, image.rendering.truth

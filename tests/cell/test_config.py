@@ -480,6 +480,7 @@ _PLACES = {
     "PathSection": ("views", "path"),
     "JitterSection": ("views", "jitter"),
     "ScannerEntry": ("scanners", 0),
+    "Waypoint": ("motion", "path", 0),
     "AdaptedSection": ("domain", "adapted"),
     "CameraTolerance": ("domain", "adapted", "camera"),
     "BinTolerance": ("domain", "adapted", "bin"),
@@ -501,7 +502,7 @@ def _placed(section, content):
     """Return a configuration with `content` in a section."""
     place = _PLACES.get(section, (section.removesuffix("Section").lower(),))
     for step in reversed(place):
-        if step in (*KINDS, "dome", "path", "jitter"):
+        if isinstance(content, dict) and step in (*KINDS, "dome", "path", "jitter"):
             content = {"kind": step} | content
         else:
             content = [content] if step == 0 else {step: content}

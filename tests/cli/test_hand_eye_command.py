@@ -12,7 +12,8 @@ from stage import in_camera
 from graycast.camera.scanner import preset, take
 from graycast.cell.resolve import patterns_of
 from graycast.cli.command import main
-from graycast.dataset.write.raw import Raw, raw_files
+from graycast.dataset.files.sample import Raw
+from graycast.dataset.write.raw import raw_files
 from graycast.rendering import Quality
 from graycast.rig.optics import rays
 from graycast.world.scene import EMPTY_LAYOUT

@@ -23,7 +23,7 @@ class SensorLight:
     light, which is the same in all frames unless the scene moves."""
 
     stack: arrays.FloatArray_n_h_w
-    background: arrays.FloatArray_h_w | arrays.FloatArray_n_h_w
+    background: arrays.FloatArray_any  # (h, w), or (n, h, w) for a scene that moves
 
 
 def camera_light(

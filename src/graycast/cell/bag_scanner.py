@@ -86,7 +86,7 @@ class BagScanner:
     # --- the calls of a scanner ---------------------------------------------------------------
 
     @property
-    def T_world_cam(self) -> Pose:
+    def T_world_cam(self) -> arrays.FloatArray_4_4:
         """Pose of the camera in the last frame or, before a frame is taken, in the first one.
 
         Raises:

@@ -77,6 +77,8 @@ def test_the_stated_picture_has_the_time_of_the_ground_truth(sections):
     ("settings", "words"),
     [
         ({"belt_m_s": (11, 0, 0)}, "belt_m_s"),
+        ({"path": [{"time_s": t, "T_base_cam": [0.0] * 16} for t in (0, 1)]}, "not a rotation"),
+        ({"path": [{"time_s": t, "T_base_cam": [0.0]} for t in (0, 1)]}, "give 16"),
         ({"path": [{"time_s": 1, "T_base_cam": np.eye(4).ravel().tolist()}] * 2}, "sort its poses"),
         (
             {"path": [{"time_s": t, "T_base_cam": np.eye(4).ravel().tolist()} for t in (0.1, 0.2)]},

@@ -228,7 +228,9 @@ def measure(
     """
     rig, code = scanner.rig, scanner.light_code()
     if T_then_now is not None:
-        capture = replace(capture, frames=take_back(capture.frames, code, rig, T_then_now))
+        top_dn = levels_of(scanner.sensor).saturation_dn
+        frames = take_back(capture.frames, code, rig, T_then_now, saturation_dn=top_dn)
+        capture = replace(capture, frames=frames)
     codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
     codes, depth = without_doubt(
         codes,

@@ -22,6 +22,7 @@ from ..base.settings import Positive, Settings
 from ..camera.exposure import ExposureTimes
 from ..rig.optics import Optics, points, project, rays
 from ..rig.pair import Rig
+from .views import refuse_no_pose
 
 Pose = Float[np.ndarray, "4 4"]
 READOUT_S = 0.010  # Read-out of a picture, as in `VirtualScanner` and in robot cells.
@@ -36,11 +37,14 @@ class Waypoint(Settings):
 
     time_s: float = Field(description="The time in seconds after the picture of the ground truth.")
     T_base_cam: tuple[float, ...] = Field(
-        min_length=16,
-        max_length=16,
         description="The camera's pose in a fixed frame such as the robot's base: the 16 numbers "
         "of a 4x4 matrix by rows, in metres.",
     )
+
+    @model_validator(mode="after")
+    def _rigid(self) -> "Waypoint":
+        refuse_no_pose(self.T_base_cam, "T_base_cam")
+        return self
 
 
 class MotionSection(Settings):
@@ -187,9 +191,8 @@ def speed_px_s(
     if end_s <= start_s:
         return 0.0
     camera = rig.camera
-    pixel = np.array(
-        [(x * (camera.width_px - 1), y * (camera.height_px - 1)) for x in _THIRDS for y in _THIRDS]
-    )
+    x, y = (np.linspace(0, size - 1, 3) for size in (camera.width_px, camera.height_px))
+    pixel = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     ahead = rays(camera, pixel)
     ahead = ahead / ahead[:, 2:]
     point_m = transform_points(T_world_cam, np.vstack([ahead * rig.near_m, ahead * rig.far_m]))
@@ -202,9 +205,6 @@ def speed_px_s(
         picture_px.append([project(camera, in_camera_m), project(rig.projector, in_projector_m)])
     moved_px = np.linalg.norm(np.diff(np.array(picture_px), axis=0), axis=-1)
     return float(np.nanmax(moved_px, initial=0.0) / (times_s[1] - times_s[0]))
-
-
-_THIRDS = (0.0, 0.5, 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

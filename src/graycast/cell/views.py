@@ -66,11 +66,12 @@ class ViewSection(Settings):
         others = [n for n in own if n != "T_world_cam" and getattr(self, n) != own[n]]
         if others:
             raise ValueError(f"T_world_cam is the whole pose: remove it, or {', '.join(others)}")
-        _refuse_no_pose(self.T_world_cam, "T_world_cam")
+        refuse_no_pose(self.T_world_cam, "T_world_cam")
         return self
 
 
-def _refuse_no_pose(pose: tuple[float, ...], name: str) -> None:
+def refuse_no_pose(pose: tuple[float, ...], name: str) -> None:
+    """Refuse, by ValueError, numbers that are not a rotation and a translation."""
     if len(pose) != 16:
         raise ValueError(f"{name} has {len(pose)} numbers; give 16")
     if not is_rigid(np.reshape(pose, (4, 4))):
@@ -196,7 +197,7 @@ class ScannerEntry(ScannerSections):
     @model_validator(mode="after")
     def _one_mounting(self) -> "ScannerEntry":
         if self.T_first_cam is not None:
-            _refuse_no_pose(self.T_first_cam, "T_first_cam")
+            refuse_no_pose(self.T_first_cam, "T_first_cam")
             if self.views is not None:
                 raise ValueError("T_first_cam moves it with the first scanner: remove it, or views")
         return self
@@ -290,8 +291,7 @@ def _on(
 
 
 def _distances(dome: DomeSection, view: ViewSection, rig: Rig) -> tuple[float, float]:
-    own = view.distance_m or standoff_m(rig)
-    return dome.distance_m or (own, own)
+    return dome.distance_m or (view.distance_m or standoff_m(rig),) * 2
 
 
 def _along(path: PathSection, rig: Rig, box: Bin) -> list[Pose]:

@@ -63,7 +63,7 @@ def test_pictures_of_a_scene_at_rest_are_not_changed(rig, codec):
     code = CodeSpec(codec=codec).code(rig.projector.width_px, rig.projector.height_px)
     rest = np.repeat(np.eye(4)[None], len(code.frames), axis=0)
     frames = pictures_of_wall(rig, code, rest)
-    assert np.array_equal(take_back(frames, code, rig, rest), frames)
+    assert np.array_equal(take_back(frames, code, rig, rest, saturation_dn=65_000.0), frames)
 
 
 @pytest.mark.slow
@@ -83,7 +83,10 @@ def test_a_moving_wall_has_the_depth_of_the_reference_time(rig, codec, velocity_
         axis=0,
     )
     good = {}
-    for name, stack in (("taken", frames), ("back", take_back(frames, code, rig, T))):
+    for name, stack in (
+        ("taken", frames),
+        ("back", take_back(frames, code, rig, T, saturation_dn=65_000.0)),
+    ):
         depth = triangulate(decode(stack, code, DecodeSpec(), LEVELS), rig)
         good[name] = (np.abs(depth.depth_m - truth_m) < 5e-4)[in_all].mean()
     assert in_all.mean() > 0.5
@@ -95,4 +98,18 @@ def test_as_many_poses_as_frames_are_needed(rig):
     code = CodeSpec(codec="gray").code(rig.projector.width_px, rig.projector.height_px)
     frames, poses = np.zeros((3, 60, 120), dtype=np.uint16), np.repeat(np.eye(4)[None], 3, axis=0)
     with pytest.raises(DecodeError, match="one pose for each"):
-        take_back(frames, code, rig, poses)
+        take_back(frames, code, rig, poses, saturation_dn=65_000.0)
+
+
+@pytest.mark.slow
+def test_bright_pictures_of_a_moving_wall_stay_in_the_range_of_eight_bits(rig):
+    """White is saturated and black is dark, so no value wraps around from bright to dark."""
+    code = CodeSpec(codec="gray_phase").code(rig.projector.width_px, rig.projector.height_px)
+    T = motions(len(code.frames), (0.001, 0.0, 0.0), 0.0)
+    frames = np.minimum(pictures_of_wall(rig, code, T) // 100, 255).astype(np.uint8)
+    back = take_back(frames, code, rig, T, saturation_dn=255.0)
+    white, black = (back[[f.kind for f in code.frames].index(kind)] for kind in ("white", "black"))
+    lit = white > 0  # The points of the other pixels leave the picture.
+    assert lit.mean() > 0.3
+    assert (white[lit] == 255).all() and (black[lit] < 60).all()
+    assert (back.max(axis=0)[lit] == 255).all()

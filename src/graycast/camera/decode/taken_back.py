@@ -36,6 +36,8 @@ def take_back(
     code: Code,
     rig: Rig,
     T_then_now: arrays.FloatArray_n_4_4,
+    *,
+    saturation_dn: float,
 ) -> arrays.UInt8or16Array_n_h_w:
     """Return the pictures that a scene at rest would have given at the reference time.
 
@@ -44,6 +46,8 @@ def take_back(
     Args:
         T_then_now: for each frame, the transform from the camera's coordinates of a surface point
             at the reference time to those at the time of the frame.
+        saturation_dn: the smallest saturated value. Saturated values stay saturated, and no value
+            becomes larger than this one.
 
     Raises:
         DecodeError: the numbers of frames and poses differ.
@@ -63,7 +67,8 @@ def take_back(
         place = _places(rig, ray, near)
         _correlate(stack, shift, np.float32(near), place, light, score, best)
     result = np.zeros_like(stack)
-    _give_back(stack, shift, best, _places(rig, ray, best), light, steps, result)
+    place = _places(rig, ray, best)
+    _give_back(stack, shift, best, place, light, steps, saturation_dn, result)
     return result
 
 
@@ -276,7 +281,7 @@ def _phase_place(values, moved, coarse, frames, delta):
 
 
 @kernel(parallel=True, error_model="numpy")
-def _give_back(stack, shift, near, place, light, steps, result):
+def _give_back(stack, shift, near, place, light, steps, saturation_dn, result):
     """Write the pictures of the reference time, for the nearness of each pixel.
 
     Blur lowers the contrast of fine stripes, so each period has its own; the other frames, in which
@@ -320,4 +325,5 @@ def _give_back(stack, shift, near, place, light, steps, result):
                 for k in range(n):
                     if steps.group[k] == g:
                         value = values[k] + contrast * (now[k] - then[k])
-                        result[k, y, x] = max(np.rint(value), 0.0)
+                        value = saturation_dn if values[k] >= saturation_dn else value
+                        result[k, y, x] = min(max(np.rint(value), 0.0), saturation_dn)

@@ -1,12 +1,14 @@
 """Worker processes do not run the script that starts them; their results come in order."""
 
 import os
+import signal
 import subprocess
 import sys
 from functools import partial
 
 import pytest
 
+from graycast.base.errors import WorkerDied
 from graycast.base.spawn import in_order
 
 SCRIPT = """
@@ -49,3 +51,29 @@ def test_several_processes_start_items_only_a_little_ahead_of_the_results(tmp_pa
     next(started)
     assert len(list(tmp_path.iterdir())) <= 6
     started.close()
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_all_processes_without_their_tracebacks():
+    """A terminal sends Ctrl-C to all processes. Workers are idle, busy or in the start."""
+    script = (
+        "import time; from graycast.base.spawn import in_order\n"
+        "try:\n"
+        "    for _ in in_order(time.sleep, [0, 0.2, 0.2, 0.2], workers=2):\n"
+        "        print('item', flush=True)\n"
+        "except KeyboardInterrupt: print('stopped')\n"
+    )
+    run = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=-1, stderr=-1, text=True, start_new_session=True
+    )
+    first = run.stdout.readline()
+    os.killpg(run.pid, signal.SIGINT)
+    out, error = run.communicate(timeout=60)
+    assert (first, out.splitlines()[-1], error) == ("item\n", "stopped", "")
+
+
+@pytest.mark.slow
+def test_the_error_for_a_killed_process_says_what_to_change():
+    kill = partial(eval, "__import__('os').kill(__import__('os').getpid(), 9)")
+    with pytest.raises(WorkerDied, match=r"a worker process was killed.* fewer than 2 workers"):
+        list(in_order(kill, [{}, {}], workers=2))

@@ -56,7 +56,7 @@ OPTIONS = {
     "dataset stats": "dataset --out --workers --card --licence",
     "dataset export": "dataset --format --out --selection --shares --split-seed --picture "
     "--depth-files --polygons --labels --cloud --organised --pixel-origin --shard-scenes --link "
-    "--min-visibility",
+    "--min-visibility --workers",
     "dataset merge": "source --out",
     "dataset import": "folder --out --intrinsics --distortion --scale --size --ray-length "
     "--max-depth --annotations --unlabelled --like",

@@ -5,15 +5,20 @@ Python's `spawn` runs the user's script again in each process, so a script witho
 because their functions and data come from modules.
 """
 
+import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import islice
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any, TypeVar
+
+from .errors import WorkerDied
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -37,22 +42,44 @@ class _Context(SpawnContext):
 SPAWN = _Context()  # replaces `multiprocessing.get_context("spawn")`
 
 
+@contextmanager
+def deaf_to_interrupts() -> Iterator[None]:
+    """Block Ctrl-C for processes that start in the block, because their parent ends them.
+
+    The processes inherit the signal mask, and the parent's own mask is restored at the end.
+    """
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
 def in_order(
     function: Callable[[Item], Result], items: Sequence[Item], *, workers: int
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """Yield the result of a function for each item, in the order of the items.
 
     The workers are at most two items each ahead, so that memory use stays constant.
+
+    Raises:
+        WorkerDied: a worker was killed.
     """
     if workers == 1 or len(items) < 2:
         yield from map(function, items)
         return
     with ProcessPoolExecutor(min(workers, len(items)), mp_context=SPAWN) as pool:
         others = iter(items)
-        ahead = deque(pool.submit(function, item) for item in islice(others, 2 * workers))
         try:
+            with deaf_to_interrupts():
+                ahead = deque(pool.submit(function, item) for item in islice(others, 2 * workers))
             while ahead:
                 yield ahead.popleft().result()
                 ahead.extend(pool.submit(function, item) for item in islice(others, 1))
+        except BrokenProcessPool as error:
+            raise WorkerDied(
+                "a worker process was killed, by a user or by the operating system for lack of "
+                f"memory: run the command again with fewer than {workers} workers"
+            ) from error
         finally:
             pool.shutdown(cancel_futures=True)

@@ -163,9 +163,9 @@ def _add_export(group) -> None:
     )
     shards = "The largest number of scenes in one file."
     add_option(export, "--shard-scenes", positive, shards, usual="chosen by the format")
-    link = "Make hard links to the dataset's pictures instead of copies."
-    add_option(export, "--link", None, link)
+    add_option(export, "--link", None, "Make hard links to the dataset's pictures, not copies.")
     add_shared(export, "--min-visibility", usual="0")
+    add_shared(export, "--workers", default=1)
 
 
 def _add_import(group) -> None:
@@ -258,8 +258,9 @@ def _export(options: argparse.Namespace) -> int:
     export_options = Options(format=options.format, split=division_of(options), **settings)
     with open_bars() as bars:
         record = export(
-            options.dataset, options.out, export_options, selection=options.selection, progress=bars
-        )
+            options.dataset, options.out, export_options, selection=options.selection,
+            workers=options.workers, progress=bars,
+        )  # fmt: skip
     counts = ", ".join(f"{name} {len(ids)}" for name, ids in record.splits.items())
     print(f"{options.out}: {record.format}, scenes: {counts}")
     return 0

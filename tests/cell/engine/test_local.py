@@ -17,9 +17,10 @@ from heavy_job import HeavyJob
 from small_cell import content, finished, start
 
 from graycast.base.errors import WorkerDied
+from graycast.base.spawn import deaf_to_interrupts
 from graycast.cell.engine import Failed, SceneTask, TaskResult, make_all
 from graycast.cell.engine import local as local_module
-from graycast.cell.engine.local import LocalPool, _deaf_to_interrupts, list_gpus
+from graycast.cell.engine.local import LocalPool, list_gpus
 from graycast.dataset.check.checking import validate
 
 
@@ -113,7 +114,7 @@ def test_threads_and_gpus_are_divided_among_the_workers(task, monkeypatch):
 
 def test_ctrl_c_during_the_start_of_a_worker_takes_effect_after_the_start():
     with pytest.raises(KeyboardInterrupt):
-        with _deaf_to_interrupts():
+        with deaf_to_interrupts():
             signal.raise_signal(signal.SIGINT)
             begun = subprocess.run(["grep", "SigBlk", "/proc/self/status"], capture_output=True)
     assert int(begun.stdout.split()[1], 16) & 1 << (signal.SIGINT - 1)

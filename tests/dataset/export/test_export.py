@@ -75,6 +75,33 @@ def test_a_truncated_picture_is_named_and_the_partial_export_is_removed(truncate
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("form", [form for form in FORMATS if form != "rerun"])
+def test_the_number_of_processes_does_not_change_an_export(master, tmp_path, form):
+    """Recordings of rerun contain random ids; `test_rerun_log.py` compares their values."""
+    require_library(form)
+    options = Options(format=form, split=Split(shares=(0.5, 0.25, 0.25), seed=SEED))
+    contents = []
+    for workers in (1, 2):
+        out, meter = tmp_path / f"{workers}", Metered()
+        export(master, out, options, workers=workers, progress=meter)
+        assert [count[1] for count in meter.counts] == [1, 2, 3, 4]
+        files = sorted(path for path in out.rglob("*") if path.is_file())
+        contents.append({str(path.relative_to(out)): path.read_bytes() for path in files})
+    assert contents[0] == contents[1]
+
+
+@pytest.mark.slow
+def test_an_export_of_several_processes_fails_with_the_first_fault_and_leaves_nothing(
+    truncated, tmp_path
+):
+    copy = shutil.copytree(truncated, tmp_path / "copy")
+    (copy / "train" / "000004" / "rgb" / "000000.png").unlink()
+    with pytest.raises(DatasetError, match=r"000003: rgb/000000.png is cut off or damaged"):
+        export(copy, tmp_path / "out", Options(format="clouds"), workers=2)
+    assert list(tmp_path.iterdir()) == [copy]
+
+
 def test_missing_or_contradictory_labels_are_reported(master, tmp_path):
     copy = shutil.copytree(master, tmp_path / "copy")
     scene = copy / "train" / "000003"

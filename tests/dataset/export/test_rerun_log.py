@@ -24,18 +24,19 @@ def recording(master, tmp_path_factory):
     return recorded(master, tmp_path_factory.mktemp("rerun") / "out")
 
 
-def recorded(dataset, out):
+def recorded(dataset, out, workers=1):
     """Export; return the columns of each entity by name, and the static ones, as lists of rows."""
     pytest.importorskip("rerun", reason="needs rerun: run make extras")
     from rerun.chunk import RrdReader
 
-    export(dataset, out, Options(format="rerun"))
+    export(dataset, out, Options(format="rerun"), workers=workers)
     rows, static = {}, {}
     for chunk in RrdReader(out / "train.rrd").stream():
         columns = rows if not chunk.is_static else static
         own = columns.setdefault(chunk.entity_path, {})
         for name, column in chunk.to_record_batch().to_pydict().items():
-            own.setdefault(name, []).extend(column)
+            if name != "rerun.controls.RowId":  # These ids are random.
+                own.setdefault(name, []).extend(column)
     return rows, static
 
 
@@ -121,3 +122,9 @@ def test_a_part_that_is_absent_from_a_picture_is_not_at_the_origin(master, tmp_p
     size = values(recording, "/truth/parts/2", "InstancePoses3D:mat3x3")
     assert np.array_equal(size[3], np.zeros((1, 9)))
     assert len(values(recording, "/truth/parts/1", "InstancePoses3D:mat3x3")[3]) == 8
+
+
+def test_the_number_of_processes_does_not_change_the_values_of_a_recording(
+    recording, master, tmp_path
+):
+    assert recorded(master, tmp_path / "out", workers=2) == recording

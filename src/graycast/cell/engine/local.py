@@ -15,7 +15,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from ...base.errors import WorkerDied
-from ...base.spawn import SPAWN
+from ...base.spawn import SPAWN, deaf_to_interrupts
 from .job import Job, TaskResult, TaskRunner, is_the_scenes_own
 from .maker import GPU_DEVICES
 from .pool import Failed
@@ -132,7 +132,7 @@ class _Worker:
         # Python starts the tracker with the first process, and then unblocks Ctrl-C.
         resource_tracker.ensure_running()
         self.scenes = 0
-        with _deaf_to_interrupts(), _environment(self._variables):
+        with deaf_to_interrupts(), _environment(self._variables):
             self.connection, theirs = SPAWN.Pipe()
             process = SPAWN.Process(target=_work, args=(theirs,), daemon=True)
             process.start()
@@ -196,19 +196,6 @@ def _obituary(code: int | None) -> str:
     name = signal.Signals(-code).name
     why = ", by a user or by the operating system for lack of memory" if name == "SIGKILL" else ""
     return f"its worker process was killed ({name}{why})"
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Block Ctrl-C for processes that start in the block, because their parent ends them.
-
-    The processes inherit the signal mask, and the parent's own mask is restored at the end.
-    """
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 @contextmanager

@@ -25,16 +25,21 @@ from ..files.places import camera_file
 from ..read.stored import StoredDataset, StoredScene
 from ..write.coco import run_lengths
 from .options import Options, settled
-from .placing import bop_key, place, write_shards
+from .picture_job import PictureJob
+from .placing import Sample, bop_key, place, write_shards
+
+
+def content(job: PictureJob) -> Sample:
+    """Return the key of a picture, and its files in a shard."""
+    return bop_key(job.scene.scene_id, job.scene.place), list(_files(job.scene, job.options))
 
 
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path, split: str, contents: Iterable[Sample], stored: StoredDataset, options: Options
 ) -> None:
     """Write `SPLIT/shard-000000.tar` ... and `SPLIT/key_to_shard.json`."""
     (folder / split).mkdir()
-    samples = ((bop_key(s.scene_id, s.place), _files(s, options)) for s in scenes)
-    shard_of = write_shards(folder / split, samples, most=settled(options.shard_scenes))
+    shard_of = write_shards(folder / split, contents, most=settled(options.shard_scenes))
     (folder / split / "key_to_shard.json").write_text(json.dumps(shard_of), encoding="ascii")
 
 

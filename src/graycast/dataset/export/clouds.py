@@ -14,29 +14,42 @@ from ...base.ply import cloud_bytes
 from ...rig.optics import optics_of, points
 from ..read.stored import StoredDataset, StoredScene
 from .options import Options, settled
+from .picture_job import PictureJob
 
 _NAMES = {"depth": "perfect", "depth_sl": "scanner"}
 
 
+def content(job: PictureJob) -> dict[str, bytes]:
+    """Return the clouds of a picture by their file names."""
+    scene, options = job.scene, job.options
+    form = {"ply": cloud_bytes, "pcd": pcd_bytes}[settled(options.cloud)]
+    color = color_image(scene, options)
+    clouds = {}
+    for depth in options.depths:
+        depth_m = scene.depth_m(depth)
+        point_m = point_image(scene, depth_m)
+        keep = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
+        own_color = None if color is None else color[keep]
+        p_wrong = scene.p_wrong() if depth == "depth_sl" else None
+        more = {} if p_wrong is None else {"p_wrong": p_wrong[keep]}
+        width_px = depth_m.shape[1] if options.organised else None
+        cloud = form(point_m[keep], own_color, more=more, width_px=width_px)
+        clouds[f"{scene.image_id:06d}_{_NAMES[depth]}.{options.cloud}"] = cloud
+    return clouds
+
+
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path,
+    split: str,
+    contents: Iterable[Mapping[str, bytes]],
+    stored: StoredDataset,
+    options: Options,
 ) -> None:
     """Write `SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
     (folder / split).mkdir()
-    form = {"ply": cloud_bytes, "pcd": pcd_bytes}[settled(options.cloud)]
-    for scene in scenes:
-        color = color_image(scene, options)
-        for depth in options.depths:
-            depth_m = scene.depth_m(depth)
-            point_m = point_image(scene, depth_m)
-            name = f"{scene.image_id:06d}_{_NAMES[depth]}.{options.cloud}"
-            keep = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
-            own_color = None if color is None else color[keep]
-            p_wrong = scene.p_wrong() if depth == "depth_sl" else None
-            more = {} if p_wrong is None else {"p_wrong": p_wrong[keep]}
-            width_px = depth_m.shape[1] if options.organised else None
-            content = form(point_m[keep], own_color, more=more, width_px=width_px)
-            (folder / split / name).write_bytes(content)
+    for clouds in contents:
+        for name, cloud in clouds.items():
+            (folder / split / name).write_bytes(cloud)
 
 
 def pcd_bytes(

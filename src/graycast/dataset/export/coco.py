@@ -2,21 +2,56 @@
 
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pycocotools import mask as coco_mask
 
 from ..read.example import InstanceLabel
-from ..read.stored import StoredDataset, StoredScene
+from ..read.stored import StoredDataset
 from ..write.coco import coco_categories
 from .options import Options, settled
 from .outline import polygons
+from .picture_job import PictureJob
 from .placing import place
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CocoPicture:
+    """An image, its files (folder and source), and its annotations as JSON without id."""
+
+    image: dict[str, Any]
+    files: tuple[tuple[str, Path], ...]
+    annotations: tuple[str, ...]
+
+
+def content(job: PictureJob) -> CocoPicture:
+    """Check the files of a picture, and encode its annotations."""
+    scene, options = job.scene, job.options
+    view, (height_px, width_px) = scene.view(), scene.size_px
+    name = f"{scene.image_id:06d}.png"
+    image = {"id": scene.image_id, "file_name": name, "width": width_px, "height": height_px}
+    optics = {"cam_K": view.cam_K, "distortion": view.distortion, "depth_scale": view.depth_scale}
+    annotations = (
+        {"image_id": scene.image_id} | _entry(label, settled(options.polygons))
+        for label in scene.labels(min_visibility=settled(options.min_visibility))
+    )
+    files = [("images", scene.png(settled(options.picture)))]
+    files += [(depth, scene.png(depth)) for depth in options.depths]
+    return CocoPicture(
+        image=image | optics,
+        files=tuple(files),
+        annotations=tuple(json.dumps(entry, allow_nan=False) for entry in annotations),
+    )
+
+
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path,
+    split: str,
+    contents: Iterable[CocoPicture],
+    stored: StoredDataset,
+    options: Options,
 ) -> None:
     """Write `annotations/instances_SPLIT.json`, `images/SPLIT/000000.png`, and folders of depth.
 
@@ -24,37 +59,26 @@ def write_split(
     `distortion` and `depth_scale` [mm]. An annotation has `visib_fract`, `cam_R_m2c`, `cam_t_m2c`
     [mm] and `gt_id`, its index in the dataset's `scene_gt.json`.
     """
-    target = folder / "annotations" / f"instances_{split}.json"
-    target.parent.mkdir(exist_ok=True)
+    labels = folder / "annotations" / f"instances_{split}.json"
+    labels.parent.mkdir(exist_ok=True)
     images: list[dict[str, Any]] = []
     count, separator = 0, "\n"
-    with open(target, "w", encoding="utf-8") as file:
+    with open(labels, "w", encoding="utf-8") as file:
         info = json.dumps({"description": f"Graycast, {split}"})
         file.write(f'{{"info": {info},\n"licenses": [],\n')
         categories = coco_categories(stored.categories.items())
         file.write(f'"categories": {json.dumps(categories)},\n"annotations": [')
-        for scene in scenes:
-            images.append(_image(folder, split, scene, options))
-            for label in scene.labels(min_visibility=settled(options.min_visibility)):
+        for picture in contents:
+            images.append(picture.image)
+            for kind, source in picture.files:
+                target = folder / kind / split / picture.image["file_name"]
+                place(source, target, link=settled(options.link))
+            for annotation in picture.annotations:
                 count += 1
-                own = _entry(label, settled(options.polygons))
-                entry = {"id": count, "image_id": scene.image_id} | own
-                file.write(separator + json.dumps(entry, allow_nan=False))
+                file.write(f'{separator}{{"id": {count}, {annotation[1:]}')
                 separator = ",\n"
         lines = ",\n".join(json.dumps(image, allow_nan=False) for image in images)
         file.write(f'],\n"images": [\n{lines}]}}\n')
-
-
-def _image(folder: Path, split: str, scene: StoredScene, options: Options) -> dict[str, Any]:
-    name = f"{scene.image_id:06d}.png"
-    link = settled(options.link)
-    place(scene.png(settled(options.picture)), folder / "images" / split / name, link=link)
-    for depth in options.depths:
-        place(scene.png(depth), folder / depth / split / name, link=link)
-    view, (height_px, width_px) = scene.view(), scene.size_px
-    image = {"id": scene.image_id, "file_name": name, "width": width_px, "height": height_px}
-    optics = {"cam_K": view.cam_K, "distortion": view.distortion, "depth_scale": view.depth_scale}
-    return image | optics
 
 
 def _entry(label: InstanceLabel, as_polygons: bool) -> dict[str, Any]:

@@ -1,20 +1,24 @@
 """Export a dataset in BOP's form to another format."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from ...base.errors import DatasetError, GraycastError
 from ...base.folder import new_folder
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.spawn import in_order
 from ..files.records import Record
 from ..files.safe_reading import Unreadable, read_json
-from ..read.stored import StoredDataset, StoredScene, open_dataset
+from ..read.stored import StoredDataset, open_dataset
 from .options import FORMATS, Options
+from .picture_job import PictureJob
 from .record import ExportRecord, write_record
 
-WriteSplit = Callable[[Path, str, Iterable[StoredScene], StoredDataset, Options], None]
+WriteSplit = Callable[[Path, str, Iterable[Any], StoredDataset, Options], None]
 _SOME = 3  # An error names at most this many keys.
 
 
@@ -33,6 +37,7 @@ def export(
     options: Options,
     *,
     selection: Path | None = None,
+    workers: int = 1,
     progress: ProgressMeter = UNWATCHED,
 ) -> ExportRecord:
     """Write a finished dataset in another format, completely or not at all.
@@ -42,6 +47,8 @@ def export(
         out: a folder that does not exist or is empty.
         options: the format and its options.
         selection: a file of scenes saved on the report's page; only they are exported.
+        workers: number of processes that read and encode pictures; this process alone writes. The
+            files do not depend on the number.
         progress: meter that counts the pictures.
 
     Returns:
@@ -62,21 +69,36 @@ def export(
     splits = settings.split.assign(image_ids, images=len(stored.images))
     if out.absolute().is_relative_to(dataset.absolute()):
         raise GraycastError(f"{out}: is inside the dataset: choose a folder outside of it")
-    total, done = len(image_ids), 0
-
-    def counted(image_ids: Iterable[int]) -> Iterator[StoredScene]:
-        nonlocal done
-        for image_id in image_ids:
-            yield stored.picture(image_id)
-            done += 1
-            progress.count("pictures", done, total)
-
-    with new_folder(out) as folder:
+    jobs = _jobs(splits, stored, settings)
+    with (
+        new_folder(out) as folder,
+        closing(in_order(writer.content, jobs, workers=workers)) as contents,
+    ):
+        counted = _counted(contents, len(jobs), progress)
         for split, own_ids in splits.items():
-            write_split(folder, split, counted(own_ids), stored, settings)
+            write_split(folder, split, islice(counted, len(own_ids)), stored, settings)
         if hasattr(writer, "write_rest"):
             writer.write_rest(folder, splits, stored, settings)
         return write_record(folder, stored, settings, splits)
+
+
+def _jobs(
+    splits: Mapping[str, list[int]], stored: StoredDataset, options: Options
+) -> list[PictureJob]:
+    """Return the pictures of all sets in one list, so that one pool of workers makes them."""
+    jobs = []
+    for image_ids in splits.values():
+        for place, image_id in enumerate(image_ids):
+            scene = stored.picture(image_id)
+            taker = stored.taker(scene.sensor)
+            jobs.append(PictureJob(scene=scene, place=place, taker=taker, options=options))
+    return jobs
+
+
+def _counted(contents: Iterable[Any], total: int, progress: ProgressMeter) -> Iterator[Any]:
+    for done, content in enumerate(contents, start=1):
+        progress.count("pictures", done, total)
+        yield content
 
 
 def selected_pictures(path: Path, stored: StoredDataset) -> list[int]:

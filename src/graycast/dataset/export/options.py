@@ -23,7 +23,8 @@ _CHOICES = {
 class Format:
     """One export format.
 
-    `writer` names a module of this folder and its function that writes one set of the split. The
+    `writer` names a module of this folder and its function that writes one set of the split. It
+    receives what the module's function `content` returned for each picture in a worker process. The
     module's function `write_rest`, if there is one, writes the files of the dataset as a whole.
     `reader` names a module of `dataset/training` and its function that opens one set's examples;
     None for a format that programs do not train from. `options` are the format's options and their

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ...base.errors import GraycastError
-from ..read.stored import StoredDataset, StoredScene
+from ..read.stored import StoredDataset
 from .options import Options, settled
+from .picture_job import PictureJob
 from .placing import groups
 
 try:
@@ -52,19 +53,24 @@ def schema() -> "pa.Schema":
 
 
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path,
+    split: str,
+    contents: Iterable[dict[str, Any]],
+    stored: StoredDataset,
+    options: Options,
 ) -> None:
     """Write `SPLIT/part-000000.parquet` ... in row groups of few scenes, to limit memory use."""
     (folder / split).mkdir()
-    for part, of_file in enumerate(groups(scenes, settled(options.shard_scenes))):
+    for part, of_file in enumerate(groups(contents, settled(options.shard_scenes))):
         target = folder / split / f"part-{part:06d}.parquet"
         with pq.ParquetWriter(target, schema()) as writer:
             for group in groups(of_file, _GROUP):
-                rows = [_table_row(scene, options) for scene in group]
-                writer.write_table(pa.Table.from_pylist(rows, schema=schema()))
+                writer.write_table(pa.Table.from_pylist(list(group), schema=schema()))
 
 
-def _table_row(scene: StoredScene, options: Options) -> dict[str, Any]:
+def content(job: PictureJob) -> dict[str, Any]:
+    """Return the row of a picture."""
+    scene, options = job.scene, job.options
     view = scene.view()
     names = (*options.depths, *([options.picture] if options.picture else ()))
     row: dict[str, Any] = {

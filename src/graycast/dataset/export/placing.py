@@ -12,6 +12,7 @@ from typing import TypeVar
 from ...base.errors import GraycastError
 
 T = TypeVar("T")
+Sample = tuple[str, list[tuple[str, bytes]]]  # a key, and its files by their endings
 
 
 def place(source: Path, target: Path, *, link: bool) -> None:
@@ -43,9 +44,7 @@ def groups(items: Iterable[T], most: int) -> Iterator[Iterator[T]]:
         yield chain([first], islice(left, most - 1))
 
 
-def write_shards(
-    folder: Path, samples: Iterable[tuple[str, Iterable[tuple[str, bytes]]]], *, most: int
-) -> dict[str, int]:
+def write_shards(folder: Path, samples: Iterable[Sample], *, most: int) -> dict[str, int]:
     """Write `shard-000000.tar` ... with at most `most` samples per file.
 
     As in WebDataset, a sample consists of consecutive files KEY.name. Equal samples give equal

@@ -8,7 +8,8 @@ Source: the class YcbineoatReader in FoundationPose's `datareader.py`; `demo.sh`
 `run_inference_custom.py` of SAM-6D.
 """
 
-from collections.abc import Iterable, Iterator
+import io
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -23,34 +24,47 @@ from ..read.stored import StoredDataset, StoredScene
 from ..write.picture_bytes import png
 from .clouds import color_image
 from .options import Options, settled
+from .picture_job import PictureJob
 from .placing import place
 
 _NAME = "000000"  # A folder holds a single picture.
 
 
+def content(job: PictureJob) -> dict[str, bytes]:
+    """Return the files of a picture, by their paths inside the folder of the set."""
+    scene, options = job.scene, job.options
+    depth_mm = np.nan_to_num(scene.depth_m(options.depths[0])) * MM_PER_M
+    K = scene.view().cam_K
+    every = {
+        f"rgb/{_NAME}.png": _png(settled(color_image(scene, options))[..., ::-1], scene),
+        f"depth/{_NAME}.png": _png(np.rint(depth_mm).astype(np.uint16), scene),
+        "cam_K.txt": _text(np.reshape(K, (3, 3))),
+        "camera.json": json_bytes({"cam_K": K, "depth_scale": 1.0}),
+    }
+    files: dict[str, bytes] = {}
+    for label in _most_visible(scene):
+        mask = coco_mask.decode(label.segmentation) * np.uint8(255)
+        own = {f"masks/{_NAME}.png": _png(mask, scene)}
+        if label.pose is not None:
+            own[f"annotated_poses/{_NAME}.txt"] = _text(label.T_cam_part)
+        folder = f"{scene.image_id:06d}_{label.obj_id:06d}"
+        files |= {f"{folder}/{name}": data for name, data in (every | own).items()}
+    return files
+
+
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path,
+    split: str,
+    contents: Iterable[Mapping[str, bytes]],
+    stored: StoredDataset,
+    options: Options,
 ) -> None:
     """Write a folder `SPLIT/000003_000001` for each picture and each part visible in it."""
-    for scene in scenes:
-        depth_mm = np.nan_to_num(scene.depth_m(options.depths[0])) * MM_PER_M
-        images = {
-            "rgb": settled(color_image(scene, options))[..., ::-1],
-            "depth": np.rint(depth_mm).astype(np.uint16),
-        }
-        for label in _most_visible(scene):
-            target = folder / split / f"{scene.image_id:06d}_{label.obj_id:06d}"
-            mask = coco_mask.decode(label.segmentation) * np.uint8(255)
-            for name, image in (images | {"masks": mask}).items():
-                (target / name).mkdir(parents=True)
-                picture = png(np.ascontiguousarray(_without_lens(image, scene)))
-                (target / name / f"{_NAME}.png").write_bytes(picture)
-            K = scene.view().cam_K
-            np.savetxt(target / "cam_K.txt", np.reshape(K, (3, 3)))
-            (target / "camera.json").write_bytes(json_bytes({"cam_K": K, "depth_scale": 1.0}))
-            if label.pose is not None:
-                (target / "annotated_poses").mkdir()
-                np.savetxt(target / "annotated_poses" / f"{_NAME}.txt", label.T_cam_part)
+    for files in contents:
+        for name, data in files.items():
+            target = folder / split / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(data)
 
 
 def write_rest(
@@ -75,6 +89,16 @@ def _most_visible(scene: StoredScene) -> Iterator[InstanceLabel]:
     for obj_id in sorted({label.obj_id for label in labels}):
         same = (label for label in labels if label.obj_id == obj_id)
         yield max(same, key=lambda label: (label.visib_fract or 0, label.area_px))
+
+
+def _png(image: np.ndarray, scene: StoredScene) -> bytes:
+    return png(np.ascontiguousarray(_without_lens(image, scene)))
+
+
+def _text(matrix: np.ndarray) -> bytes:
+    text = io.BytesIO()
+    np.savetxt(text, matrix)
+    return text.getvalue()
 
 
 def _without_lens(image: np.ndarray, scene: StoredScene) -> np.ndarray:

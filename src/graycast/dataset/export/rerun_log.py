@@ -6,8 +6,9 @@ the pictures. Rerun gives each row a random id, so recordings of equal datasets 
 Rerun's camera has no lens distortion: `points` are exact, but depth shown in 3D is not corrected.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ..read.stored import StoredDataset, StoredScene
 from ..write.models import read_models
 from .clouds import color_image, point_image
 from .options import Options
+from .picture_job import PictureJob
 from .stored_truth import camera_pose, instance_numbers, part_poses
 
 try:
@@ -27,8 +29,21 @@ except ImportError as error:
     ) from error
 
 
+_Logged = tuple[str, Any]  # A path, and what rerun shows there.
+
+
+def content(job: PictureJob) -> tuple[int, list[_Logged]]:
+    """Return the number of a picture, and its values in a recording."""
+    scanner, truth = _scanner(job.scene, job.options), _truth(job.scene, job.options)
+    return job.scene.image_id, [*scanner, *truth]
+
+
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path,
+    split: str,
+    contents: Iterable[tuple[int, list[_Logged]]],
+    stored: StoredDataset,
+    options: Options,
 ) -> None:
     """Write `SPLIT.rrd`; the models of the parts are in it once, and their poses per picture."""
     recording = rr.RecordingStream(
@@ -40,10 +55,10 @@ def write_split(
         recording.save(folder / f"{split}.rrd")
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         _log_models(recording, stored)
-        for scene in scenes:
-            recording.set_time("picture", sequence=scene.image_id)
-            _log_scanner(recording, scene, options)
-            _log_truth(recording, scene, options)
+        for image_id, logged in contents:
+            recording.set_time("picture", sequence=image_id)
+            for path, value in logged:
+                recording.log(path, value)
     finally:
         recording.disconnect()
 
@@ -66,46 +81,44 @@ def _log_models(recording: "rr.RecordingStream", stored: StoredDataset) -> None:
             recording.log(f"{_root(sensor)}/truth/parts/{obj_id}", mesh, static=True)
 
 
-def _log_scanner(recording: "rr.RecordingStream", scene: StoredScene, options: Options) -> None:
+def _scanner(scene: StoredScene, options: Options) -> Iterator[_Logged]:
     root, view, (height_px, width_px) = _root(scene.sensor), scene.view(), scene.size_px
     T_world_cam = camera_pose(scene)
     if T_world_cam is not None:
-        pose = rr.Transform3D(translation=T_world_cam[:3, 3], mat3x3=T_world_cam[:3, :3])
-        recording.log(root, pose)
-    lens = rr.Pinhole(
-        image_from_camera=np.reshape(view.cam_K, (3, 3)),
-        resolution=[width_px, height_px],
-        camera_xyz=rr.ViewCoordinates.RDF,
+        yield root, rr.Transform3D(translation=T_world_cam[:3, 3], mat3x3=T_world_cam[:3, :3])
+    yield (
+        f"{root}/camera",
+        rr.Pinhole(
+            image_from_camera=np.reshape(view.cam_K, (3, 3)),
+            resolution=[width_px, height_px],
+            camera_xyz=rr.ViewCoordinates.RDF,
+        ),
     )
-    recording.log(f"{root}/camera", lens)
     if options.picture is not None:
         picture = scene.png(options.picture).read_bytes()
-        encoded = rr.EncodedImage(contents=picture, media_type="image/png")
-        recording.log(f"{root}/camera/image", encoded)
+        yield f"{root}/camera/image", rr.EncodedImage(contents=picture, media_type="image/png")
     if options.depths:  # If there are both depths, the scanner's is the second.
         depth_m, color = scene.depth_m(options.depths[-1]), color_image(scene, options)
-        _log_depth(recording, f"{root}/camera/depth", scene, options.depths[-1])
+        yield f"{root}/camera/depth", _depth(scene, options.depths[-1])
         keep = depth_m > 0
         point_m = point_image(scene, depth_m)[keep]
-        cloud = rr.Points3D(point_m, colors=None if color is None else color[keep])
-        recording.log(f"{root}/points", cloud)
+        yield f"{root}/points", rr.Points3D(point_m, colors=None if color is None else color[keep])
 
 
-def _log_depth(recording: "rr.RecordingStream", path: str, scene: StoredScene, depth: str) -> None:
-    """Log a depth picture as it is stored, in steps; `meter` is the number of steps per metre."""
+def _depth(scene: StoredScene, depth: str) -> "rr.EncodedDepthImage":
+    """Return a depth picture as it is stored, in steps; `meter` is the steps per metre."""
     steps_per_m = 1000 / scene.view().depth_scale
-    content = scene.png(depth).read_bytes()
-    encoded = rr.EncodedDepthImage(blob=content, media_type="image/png", meter=steps_per_m)
-    recording.log(path, encoded)
+    blob = scene.png(depth).read_bytes()
+    return rr.EncodedDepthImage(blob=blob, media_type="image/png", meter=steps_per_m)
 
 
-def _log_truth(recording: "rr.RecordingStream", scene: StoredScene, options: Options) -> None:
+def _truth(scene: StoredScene, options: Options) -> Iterator[_Logged]:
     root = _root(scene.sensor)
     if len(options.depths) == 2:
-        _log_depth(recording, f"{root}/camera/truth/depth", scene, options.depths[0])
+        yield f"{root}/camera/truth/depth", _depth(scene, options.depths[0])
     if "masks" in scene.holds:
         numbers = rr.SegmentationImage(instance_numbers(scene))
-        recording.log(f"{root}/camera/truth/instances", numbers)
+        yield f"{root}/camera/truth/instances", numbers
     if "poses" in scene.holds:
         T_cam_part, part_id = part_poses(scene), np.array(scene.obj_ids())
         for obj_id in scene.categories:
@@ -113,4 +126,4 @@ def _log_truth(recording: "rr.RecordingStream", scene: StoredScene, options: Opt
             # Rerun draws a mesh without poses at the origin, so an absent part gets size zero.
             T = T if len(T) else np.zeros((1, 4, 4))
             poses = rr.InstancePoses3D(translations=T[:, :3, 3], mat3x3=T[:, :3, :3])
-            recording.log(f"{root}/truth/parts/{obj_id}", poses)
+            yield f"{root}/truth/parts/{obj_id}", poses

@@ -8,7 +8,8 @@ Source: the topics of github.com/zivid/zivid-ros and REP 118 (depth images in me
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from ...base.errors import GraycastError, ScannerError
 from ..read.stored import StoredDataset, StoredScene
 from .clouds import color_image, packed_color, point_image
 from .options import Options
+from .picture_job import PictureJob
 from .stored_truth import camera_pose, exposure_times, instance_numbers, part_poses
 
 try:
@@ -49,31 +51,88 @@ GRAY, REASON, EXPOSURES = "gray/image_raw", "reason", "exposures"
 _FLOAT32 = 7  # sensor_msgs/PointField
 
 
+Message = tuple[str, str, bytes]  # topic, type and content
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagPicture:
+    """A picture's messages, and the message of its camera's pose, which the bag may have already.
+
+    `pose` is None for real pictures. `same_pose` is equal for equal poses of a scanner.
+    """
+
+    time_s: int
+    sensor: str
+    pose: Message | None
+    same_pose: bytes
+    messages: list[Message]
+
+
+def content(job: PictureJob) -> BagPicture:
+    """Return the messages of a picture."""
+    time_s, scene, maker = FIRST_S + job.place, job.scene, _Maker(types=_types())
+    T_world_cam = camera_pose(scene)
+    pose = None if T_world_cam is None else maker.pose(scene, T_world_cam, time_s)
+    return BagPicture(
+        time_s=time_s,
+        sensor=scene.sensor,
+        pose=None if pose is None else maker.encoded(POSES, pose),
+        same_pose=b"" if T_world_cam is None else T_world_cam.tobytes(),
+        messages=[maker.encoded(*message) for message in maker.messages(job, time_s)],
+    )
+
+
+@cache
+def _types() -> Any:
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
 def write_sqlite3(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path,
+    split: str,
+    contents: Iterable[BagPicture],
+    stored: StoredDataset,
+    options: Options,
 ) -> None:
     """Write the bag `SPLIT`, with `SPLIT.db3` and `metadata.yaml`."""
-    _fill(Writer(folder / split, version=_VERSION), scenes, stored, options)
+    _fill(Writer(folder / split, version=_VERSION), contents)
 
 
 def write_mcap(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path,
+    split: str,
+    contents: Iterable[BagPicture],
+    stored: StoredDataset,
+    options: Options,
 ) -> None:
     """Write the bag `SPLIT`, with `SPLIT.mcap` in compressed chunks and `metadata.yaml`."""
     writer = Writer(folder / split, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    _fill(writer, scenes, stored, options)
+    _fill(writer, contents)
 
 
-def _fill(
-    writer: "Writer", scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
-) -> None:
+def _fill(writer: "Writer", contents: Iterable[BagPicture]) -> None:
+    """Write all messages; a pose, half a second before its picture, if it differs from the last."""
+    topics: dict[str, Connection] = {}
+    last_pose: dict[str, bytes] = {}
+
+    def write(message: Message, time_ns: int) -> None:
+        topic, kind, data = message
+        if topic not in topics:
+            quality = [_quality(latched=topic == POSES)]
+            topics[topic] = writer.add_connection(
+                topic, kind, typestore=_types(), offered_qos_profiles=quality
+            )
+        writer.write(topics[topic], time_ns, data)
+
     with writer:
-        bag = _Bag(writer=writer, stored=stored)
-        for number, scene in enumerate(scenes):
-            bag.add_pose(scene, FIRST_S + number)
-            for topic, message in bag.messages(scene, options, FIRST_S + number):
-                bag.write(topic, message, (FIRST_S + number) * 10**9)
+        for picture in contents:
+            time_ns = picture.time_s * 10**9
+            if picture.pose is not None and last_pose.get(picture.sensor) != picture.same_pose:
+                last_pose[picture.sensor] = picture.same_pose
+                write(picture.pose, time_ns - 5 * 10**8)
+            for message in picture.messages:
+                write(message, time_ns)
 
 
 def _quality(*, latched: bool) -> "Qos":
@@ -107,45 +166,31 @@ def open_bag(path: Path) -> "AnyReader":
 
 
 @dataclass(slots=True, kw_only=True)
-class _Bag:
-    """An open bag, its topics, and the last pose of each scanner."""
+class _Maker:
+    """Makes messages of the types of ROS."""
 
-    writer: "Writer"
-    stored: StoredDataset
-    types: Any = field(default_factory=lambda: get_typestore(Stores.ROS2_HUMBLE))
-    topics: dict[str, "Connection"] = field(default_factory=dict)
-    poses: dict[str, bytes] = field(default_factory=dict)
+    types: Any
 
     def make(self, name: str, *values: Any, **named: Any) -> Any:
         """Return a message, such as `std_msgs/Header`."""
         return self.types.types[name.replace("/", "/msg/")](*values, **named)
 
-    def write(self, topic: str, message: Any, time_ns: int) -> None:
+    def encoded(self, topic: str, message: Any) -> Message:
         kind = message.__msgtype__
-        if topic not in self.topics:
-            quality = [_quality(latched=topic == POSES)]
-            self.topics[topic] = self.writer.add_connection(
-                topic, kind, typestore=self.types, offered_qos_profiles=quality
-            )
-        self.writer.write(self.topics[topic], time_ns, self.types.serialize_cdr(message, kind))
+        return topic, kind, bytes(self.types.serialize_cdr(message, kind))
 
     def header(self, frame: str, time_s: int) -> Any:
         return self.make("std_msgs/Header", self.make("builtin_interfaces/Time", time_s, 0), frame)
 
-    def add_pose(self, scene: StoredScene, time_s: int) -> None:
-        """Write a camera's pose half a second before its picture, unless it has this pose yet."""
-        T_world_cam = camera_pose(scene)
-        if T_world_cam is None or self.poses.get(scene.sensor) == T_world_cam.tobytes():
-            return
-        self.poses[scene.sensor] = T_world_cam.tobytes()
+    def pose(self, scene: StoredScene, T_world_cam: Float[np.ndarray, "4 4"], time_s: int) -> Any:
+        """Return the message of a camera's pose."""
         transform = self.make(
             "geometry_msgs/TransformStamped",
             self.header("world", time_s),
             optical_frame(namespace(scene.sensor)),
             self.make("geometry_msgs/Transform", *self.placement("Vector3", T_world_cam)),
         )
-        message = self.make("tf2_msgs/TFMessage", [transform])
-        self.write(POSES, message, time_s * 10**9 - 5 * 10**8)
+        return self.make("tf2_msgs/TFMessage", [transform])
 
     def placement(self, kind: str, T: Float[np.ndarray, "4 4"]) -> tuple[Any, Any]:
         """Return a translation of some kind and a quaternion."""
@@ -155,10 +200,9 @@ class _Bag:
             self.make("geometry_msgs/Quaternion", *turn.tolist()),
         )
 
-    def messages(
-        self, scene: StoredScene, options: Options, time_s: int
-    ) -> Iterator[tuple[str, Any]]:
+    def messages(self, job: PictureJob, time_s: int) -> Iterator[tuple[str, Any]]:
         """Yield the topics and messages of a picture, as far as the dataset has their data."""
+        scene, options = job.scene, job.options
         name = namespace(scene.sensor)
         header = self.header(optical_frame(name), time_s)
         info, color = self.camera_info(scene, header), color_image(scene, options)
@@ -181,7 +225,7 @@ class _Bag:
             yield f"{name}/{POINTS}", self.cloud(fields, header)
             if measured and not scene.real:
                 yield f"{name}/{REASON}", self.image(scene.picture("reason_sl"), "8UC1", header)
-        if (times_s := exposure_times(scene, self.stored)) is not None:
+        if (times_s := exposure_times(scene, job.taker)) is not None:
             layout = self.make("std_msgs/MultiArrayLayout", [], 0)
             yield f"{name}/{EXPOSURES}", self.make("std_msgs/Float64MultiArray", layout, times_s)
         if len(options.depths) == 2:

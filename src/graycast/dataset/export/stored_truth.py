@@ -1,5 +1,8 @@
 """Values of a stored image as arrays, for the exports of what a camera would publish."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float, UInt16
 from pycocotools import mask as coco_mask
@@ -7,7 +10,7 @@ from pycocotools import mask as coco_mask
 from ...base.frames import inverse
 from ...rig.pattern import CodeSpec
 from ..read.example import pose_m
-from ..read.stored import StoredDataset, StoredScene
+from ..read.stored import StoredScene
 
 
 def camera_pose(scene: StoredScene) -> Float[np.ndarray, "4 4"] | None:
@@ -32,9 +35,13 @@ def instance_numbers(scene: StoredScene) -> UInt16[np.ndarray, "h w"]:
     return numbers
 
 
-def exposure_times(scene: StoredScene, stored: StoredDataset) -> Float[np.ndarray, " n"] | None:
-    """Return the exposure time [s] of each picture of the stack; None if it is unknown."""
-    taker, manifest = stored.taker(scene.sensor), scene.manifest()
+def exposure_times(scene: StoredScene, taker: Mapping[str, Any]) -> Float[np.ndarray, " n"] | None:
+    """Return the exposure time [s] of each picture of the stack; None if it is unknown.
+
+    Args:
+        taker: the scanner's rig and settings.
+    """
+    manifest = scene.manifest()
     code = taker.get("scanner", {}).get("code")
     if code is None or "exposure_s" not in manifest:
         return None  # Real pictures state neither.

@@ -13,29 +13,39 @@ import yaml
 from pycocotools import mask as coco_mask
 
 from ..read.example import InstanceLabel
-from ..read.stored import StoredDataset, StoredScene
+from ..read.stored import StoredDataset
 from .options import Options, settled
 from .outline import path
+from .picture_job import PictureJob
 from .placing import place
 
 
+def content(job: PictureJob) -> tuple[str, Path, str]:
+    """Return the name of a picture, its file after a check, and the rows of its labels."""
+    scene, options = job.scene, job.options
+    place_of = {obj_id: i for i, obj_id in enumerate(scene.categories)}
+    kind = settled(options.labels)
+    source = scene.png(settled(options.picture))
+    rows = (
+        f"{place_of[label.obj_id]} {_label_line(label, kind, scene.size_px)}\n"
+        for label in scene.labels(min_visibility=settled(options.min_visibility))
+    )
+    return f"{scene.image_id:06d}", source, "".join(rows)
+
+
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+    folder: Path,
+    split: str,
+    contents: Iterable[tuple[str, Path, str]],
+    stored: StoredDataset,
+    options: Options,
 ) -> None:
     """Write `images/SPLIT/000000.png` and `labels/SPLIT/000000.txt`."""
-    place_of = {obj_id: i for i, obj_id in enumerate(stored.categories)}
-    kind = settled(options.labels)
     labels = folder / "labels" / split
     labels.mkdir(parents=True)
-    for scene in scenes:
-        name = f"{scene.image_id:06d}"
-        target = folder / "images" / split / f"{name}.png"
-        place(scene.png(settled(options.picture)), target, link=settled(options.link))
-        rows = (
-            f"{place_of[label.obj_id]} {_label_line(label, kind, scene.size_px)}\n"
-            for label in scene.labels(min_visibility=settled(options.min_visibility))
-        )
-        (labels / f"{name}.txt").write_text("".join(rows), encoding="ascii")
+    for name, source, rows in contents:
+        place(source, folder / "images" / split / f"{name}.png", link=settled(options.link))
+        (labels / f"{name}.txt").write_text(rows, encoding="ascii")
 
 
 def write_rest(

@@ -56,24 +56,26 @@ def cloud_bytes(
         more: more properties of the points by name; floats are stored in single precision.
         frame: text that describes the frame of the points; it is stored as a comment.
     """
-    columns = dict(zip("xyz", point_m.T, strict=True))
-    columns |= {} if color is None else dict(zip(COLORS, color.T, strict=True))
-    columns |= more or {}
-    kinds = {name: _kind(column.dtype) for name, column in columns.items()}
-    table = np.empty(len(point_m), dtype=[(name, _TYPES[kind]) for name, kind in kinds.items()])
-    for name, column in columns.items():
-        table[name] = column
+    # Three numbers of a point are copied together, which takes half as long as one by one.
+    blocks = [(tuple("xyz"), point_m), *([] if color is None else [(COLORS, color)])]
+    blocks += [((name,), column) for name, column in (more or {}).items()]
+    types = [f"<{_TYPES[_kind(block.dtype)]}" for _, block in blocks]
+    forms = [(names[0], kind, block.shape[1:])
+             for (names, block), kind in zip(blocks, types, strict=True)]  # fmt: skip
+    table = np.empty(len(point_m), dtype=forms)
+    for names, block in blocks:
+        table[names[0]] = block
     size = []
     if width_px is not None:
         rows = len(table) // width_px
         size = [f"obj_info num_cols {width_px}", f"obj_info num_rows {rows}"]
     head = header(
         "binary_little_endian",
-        [(kind, name) for name, kind in kinds.items()],
+        [(_kind(block.dtype), name) for names, block in blocks for name in names],
         vertices=len(table),
         notes=[f"comment {frame}", *size],
     )
-    return head + table.astype(table.dtype.newbyteorder("<")).tobytes()
+    return head + table.tobytes()
 
 
 def _kind(dtype: np.dtype) -> str:

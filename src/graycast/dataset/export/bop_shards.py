@@ -17,8 +17,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import cv2
+import numpy as np
+from jaxtyping import Bool
 
 from ...base.file_limits import parse_json
+from ...base.mask_box import mask_box
 from ...rendering.radiance import Silhouette
 from ..files.json_text import json_bytes
 from ..files.places import camera_file
@@ -72,16 +75,24 @@ def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes]]:
     yield "gt.json", json.dumps(scene.of_image("scene_gt", object)).encode()
     info = scene.of_image("scene_gt_info_sl" if scanner else "scene_gt_info", object)
     yield "gt_info.json", json.dumps(info).encode()
-    if "amodal" in scene.holds:
-        yield "mask.json", _masks(scene, "mask")
-    yield "mask_visib.json", _masks(scene, "mask_visib")
-
-
-def _masks(scene: StoredScene, name: str) -> bytes:
     height_px, width_px = scene.size_px
-    runs = {}
-    for i, mask in enumerate(scene.masks(name)):
-        whole = Silhouette(left_px=0, top_px=0, mask=mask)
-        counts = run_lengths(whole, height_px=height_px, width_px=width_px)
-        runs[i] = {"counts": counts, "size": [height_px, width_px]}
-    return json.dumps(runs).encode()
+    if "amodal" in scene.holds:
+        yield "mask.json", _run_lengths(map(_counts, scene.masks("mask")), scene)
+    visible = (
+        [height_px * width_px] if annotation is None else annotation.segmentation.counts
+        for _, _, annotation in scene.instances()
+    )
+    yield "mask_visib.json", _run_lengths(visible, scene)
+
+
+def _counts(mask: Bool[np.ndarray, "h w"]) -> list[int]:
+    x, y, columns, rows = mask_box(mask)
+    crop = Silhouette(left_px=x, top_px=y, mask=mask[y : y + rows, x : x + columns])
+    height_px, width_px = mask.shape
+    return run_lengths(crop, height_px=height_px, width_px=width_px)
+
+
+def _run_lengths(counts: Iterable[list[int]], scene: StoredScene) -> bytes:
+    size = list(scene.size_px)
+    each = {i: {"counts": own, "size": size} for i, own in enumerate(counts)}
+    return json.dumps(each).encode()

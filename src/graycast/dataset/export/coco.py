@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pycocotools import mask as coco_mask
-
 from ..read.example import InstanceLabel
 from ..read.stored import StoredDataset
 from ..write.coco import coco_categories
@@ -84,8 +82,8 @@ def write_split(
 def _entry(label: InstanceLabel, as_polygons: bool) -> dict[str, Any]:
     shape: Any = label.segmentation
     if as_polygons:
-        mask = coco_mask.decode(label.segmentation).astype(bool)
-        shape = [polygon.ravel().tolist() for polygon in polygons(mask)]
+        whole = (polygon + label.box[:2] for polygon in polygons(label.window()))
+        shape = [polygon.ravel().tolist() for polygon in whole]
     entry = {
         "category_id": label.obj_id,
         "iscrowd": 0,

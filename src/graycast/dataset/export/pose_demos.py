@@ -34,9 +34,14 @@ def content(job: PictureJob) -> dict[str, bytes]:
     """Return the files of a picture, by their paths inside the folder of the set."""
     scene, options = job.scene, job.options
     depth_mm = np.nan_to_num(scene.depth_m(options.depths[0])) * MM_PER_M
-    K = scene.view().cam_K
+    K, lens = scene.view().cam_K, any(scene.view().distortion)
+    picture = (
+        scene.png("rgb").read_bytes()
+        if options.image == "rgb" and not lens
+        else _png(settled(color_image(scene, options))[..., ::-1], scene)
+    )
     every = {
-        f"rgb/{_NAME}.png": _png(settled(color_image(scene, options))[..., ::-1], scene),
+        f"rgb/{_NAME}.png": picture,
         f"depth/{_NAME}.png": _png(np.rint(depth_mm).astype(np.uint16), scene),
         "cam_K.txt": _text(np.reshape(K, (3, 3))),
         "camera.json": json_bytes({"cam_K": K, "depth_scale": 1.0}),

@@ -100,9 +100,10 @@ def _scanner(scene: StoredScene, options: Options) -> Iterator[_Logged]:
     if options.depths:  # If there are both depths, the scanner's is the second.
         depth_m, color = scene.depth_m(options.depths[-1]), color_image(scene, options)
         yield f"{root}/camera/depth", _depth(scene, options.depths[-1])
-        keep = depth_m > 0
-        point_m = point_image(scene, depth_m)[keep]
-        yield f"{root}/points", rr.Points3D(point_m, colors=None if color is None else color[keep])
+        keep = np.flatnonzero(depth_m > 0)
+        point_m = point_image(scene, depth_m).reshape(-1, 3).take(keep, axis=0)
+        own_color = None if color is None else color.reshape(-1, 3).take(keep, axis=0)
+        yield f"{root}/points", rr.Points3D(point_m, colors=own_color)
 
 
 def _depth(scene: StoredScene, depth: str) -> "rr.EncodedDepthImage":

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt16
-from pycocotools import mask as coco_mask
 
 from ...base.frames import inverse
 from ...rig.pattern import CodeSpec
 from ..read.example import pose_m
+from ..read.scene_content import label_map
 from ..read.stored import StoredScene
 
 
@@ -29,10 +29,7 @@ def part_poses(scene: StoredScene) -> Float[np.ndarray, "n 4 4"]:
 
 def instance_numbers(scene: StoredScene) -> UInt16[np.ndarray, "h w"]:
     """Return k + 1 where instance k of `scene_gt.json` is visible, and 0 elsewhere."""
-    numbers = np.zeros(scene.size_px, dtype=np.uint16)
-    for label in scene.labels():
-        numbers[coco_mask.decode(label.segmentation) == 1] = label.instance + 1
-    return numbers
+    return (label_map(scene.instances(), scene.size_px) + 1).astype(np.uint16)
 
 
 def exposure_times(scene: StoredScene, taker: Mapping[str, Any]) -> Float[np.ndarray, " n"] | None:

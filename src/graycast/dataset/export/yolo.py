@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import yaml
-from pycocotools import mask as coco_mask
 
 from ..read.example import InstanceLabel
 from ..read.stored import StoredDataset
@@ -67,7 +66,6 @@ def _label_line(label: InstanceLabel, kind: str, size_px: tuple[int, int]) -> st
         x, y, w, h = label.box
         numbers = [x + w / 2, y + h / 2, w, h]
     else:
-        mask = coco_mask.decode(label.segmentation).astype(bool)
-        numbers = path(mask).ravel().tolist()
+        numbers = (path(label.window()) + label.box[:2]).ravel().tolist()
     shares = (n / (height_px if i % 2 else width_px) for i, n in enumerate(numbers))
     return " ".join(f"{share:.7f}" for share in shares)

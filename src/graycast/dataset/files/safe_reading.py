@@ -1,5 +1,6 @@
 """Read files of a dataset and check their form, since they may be damaged."""
 
+import struct
 import zlib
 from collections.abc import Callable
 from functools import cache
@@ -125,16 +126,37 @@ def png_pixels(data: bytes, name: str) -> np.ndarray:
     Raises:
         Unreadable: the data are damaged.
     """
-    at, kind = 8, b""
+    if _png_chunks(data) is None:
+        raise Unreadable(f"{name} is cut off or damaged")
+    return _decoded(data, name)
+
+
+def is_intact_png(path: Path, shape: tuple[int, ...], dtype: type) -> bool:
+    """Return whether a PNG has this form and all its checksums, without decoding its pixels.
+
+    False does not mean that the file is damaged: `read_png` reads rarer kinds of PNG, too.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return False
+    bits, colors = 8 * np.dtype(dtype).itemsize, 2 if len(shape) == 3 else 0
+    must = struct.pack(">IIBB", shape[1], shape[0], bits, colors)
+    plain = {b"IHDR", b"IDAT", b"IEND"}  # Other chunks may change the decoded picture.
+    return data[16:26] == must and _png_chunks(data) == plain
+
+
+def _png_chunks(data: bytes) -> set[bytes] | None:
+    """Return the kinds of a PNG's chunks; None if a checksum is wrong or the file is cut off."""
+    at, kinds, kind = 8, set(), b""
     while data[:8] == _PNG and kind != b"IEND" and at + 12 <= len(data):
         end = at + 8 + int.from_bytes(data[at : at + 4], "big")
         kind = data[at + 4 : at + 8]
+        kinds.add(kind)
         if zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
-            break
+            return None
         at = end + 4
-    if kind != b"IEND" or at != len(data):
-        raise Unreadable(f"{name} is cut off or damaged")
-    return _decoded(data, name)
+    return kinds if kind == b"IEND" and at == len(data) else None
 
 
 def pixels(data: bytes, name: str) -> np.ndarray:

@@ -137,8 +137,9 @@ def display_image(example: Example) -> UInt8[np.ndarray, "h w 3"]:
 class InstanceLabel:
     """One visible instance of a scene, as its files describe it.
 
-    `segmentation` is compressed RLE, and `box` is its [x, y, width, height]. `pose` (9 numbers of
-    the rotation, and the translation [mm]) and `visib_fract` are None if they are unknown.
+    `segmentation` is compressed RLE, `box` is its [x, y, width, height], and `runs` are the same
+    run lengths as numbers. `pose` (9 numbers of the rotation, and the translation [mm]) and
+    `visib_fract` are None if they are unknown.
     """
 
     instance: int
@@ -146,8 +147,17 @@ class InstanceLabel:
     area_px: int
     box: list[int]
     segmentation: dict[str, Any]
+    runs: list[int]
     pose: tuple[list[float], list[float]] | None
     visib_fract: float | None
+
+    def window(self) -> Bool[np.ndarray, "h w"]:
+        """Return the mask inside `box`, without decoding the rest of the picture."""
+        (x, y, columns, rows), height_px = self.box, self.segmentation["size"][0]
+        ends = np.cumsum(self.runs).clip(x * height_px, (x + columns) * height_px)
+        lengths = np.diff(ends, prepend=x * height_px)  # in columns, as in COCO
+        slab = np.repeat(np.arange(len(lengths)) % 2 == 1, lengths).reshape(columns, height_px)
+        return np.ascontiguousarray(slab[:, y : y + rows].T)
 
     @property
     def T_cam_part(self) -> Float[np.ndarray, "4 4"]:

@@ -82,7 +82,7 @@ def scene_content(stored: StoredScene) -> SceneContent:
         depth=_distances(stored.picture("depth")) if "depth" in holds else None,
         scanner=scanner,
         reason=reason,
-        label=_label_map(instances, stored.size_px),
+        label=label_map(instances, stored.size_px),
         view=stored.view().model_dump(),
         instances=_stored_instances(instances, stored),
         reason_name=reason_name,
@@ -95,8 +95,11 @@ def _distances(steps: UInt16[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
     return np.where(known_depth(steps), steps, 0)
 
 
-def _label_map(instances: list[Instance], size_px: tuple[int, int]) -> Int[np.ndarray, "h w"]:
-    """Fill a map from run lengths, which is a hundred times faster than reading the masks."""
+def label_map(instances: list[Instance], size_px: tuple[int, int]) -> Int[np.ndarray, "h w"]:
+    """Return the index of the visible instance of each pixel, or -1; a later mask counts.
+
+    The run lengths are a hundred times faster to read than the masks.
+    """
     height_px, width_px = size_px
     label = np.full(height_px * width_px, -1, dtype=np.int32)  # in columns, as in COCO
     for i, (_, _, entry) in enumerate(instances):

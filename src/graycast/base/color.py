@@ -13,7 +13,7 @@ def srgb(linear: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
 
 def srgb_of_bytes(linear: UInt8[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
     """Encode 8-bit linear values, such as a white frame, as 8-bit sRGB for display."""
-    return srgb(np.arange(256) / 255)[linear]
+    return srgb(np.arange(256) / 255).take(linear)
 
 
 def linear(encoded: UInt8[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

@@ -126,9 +126,9 @@ def png_pixels(data: bytes, name: str) -> np.ndarray:
     Raises:
         Unreadable: the data are damaged.
     """
-    if _png_chunks(data) is None:
+    if (kinds := _png_chunks(data)) is None:
         raise Unreadable(f"{name} is cut off or damaged")
-    return _decoded(data, name)
+    return _decoded(data, name, turnable=b"eXIf" in kinds)
 
 
 def is_intact_png(path: Path, shape: tuple[int, ...], dtype: type) -> bool:
@@ -168,9 +168,10 @@ def pixels(data: bytes, name: str) -> np.ndarray:
     return png_pixels(data, name) if data.startswith(_PNG) else _decoded(data, name)
 
 
-def _decoded(data: bytes, name: str) -> np.ndarray:
+def _decoded(data: bytes, name: str, *, turnable: bool = True) -> np.ndarray:
     refuse_large_picture(data, name, Unreadable)
-    refuse_turned(data, name, Unreadable)
+    if turnable:
+        refuse_turned(data, name, Unreadable)
     encoded = np.frombuffer(data, dtype=np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if data else None
     if image is None:

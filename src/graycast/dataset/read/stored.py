@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, final
 
+import cv2
 import numpy as np
 from pycocotools import mask as coco_mask
 
@@ -116,7 +117,7 @@ class StoredScene:
         return image
 
     def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
-        return np.ascontiguousarray(self.picture("rgb")[..., ::-1])
+        return cv2.cvtColor(self.picture("rgb"), cv2.COLOR_BGR2RGB)
 
     def depth_m(self, name: str) -> Float32[np.ndarray, "h w"]:
         """Return z [m] of `depth` or `depth_sl`; NaN where it is missing."""

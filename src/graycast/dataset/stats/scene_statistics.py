@@ -1,7 +1,7 @@
 """Compute the figures of one scene, which are small and can be stored as JSON."""
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int, UInt8
 from pydantic import BaseModel, ConfigDict
 
 from ...camera.decode import pooled_shares
@@ -63,12 +63,8 @@ class SceneFigures(BaseModel):
 def scene_figures(scene: SceneContent) -> SceneFigures:
     """Return the counts of one scene."""
     on_part = scene.label >= 0
-    everywhere = np.ones_like(on_part)
     height_px, width_px = on_part.shape
-    depth_bin = np.zeros(0, dtype=np.int64)
-    if scene.depth is not None:
-        known = scene.depth[scene.depth > 0].astype(np.int64)
-        depth_bin = (known * (scene.depth_scale_mm / DEPTH_BIN_MM)).astype(np.int64)
+    error_step, part_error_step = _error_counts(scene, on_part)
     return SceneFigures(
         split=scene.stored.split,
         scene_id=scene.stored.scene_id,
@@ -80,30 +76,49 @@ def scene_figures(scene: SceneContent) -> SceneFigures:
         visib_fract=tuple(one.visib_fract for one in scene.instances),
         area_px=tuple(one.area_px for one in scene.instances),
         box_px=tuple((one.box[2] + 1, one.box[3] + 1) for one in scene.instances),
-        depth_bin=_counts(depth_bin),
-        reason_px=_reason_counts(scene, everywhere),
-        part_reason_px=_reason_counts(scene, on_part),
-        error_step=_error_counts(scene, everywhere),
-        part_error_step=_error_counts(scene, on_part),
-        gray={} if scene.gray is None else _counts(scene.gray.ravel()),
-        luma={} if scene.rgb is None else _counts(np.rint(scene.rgb @ _LUMA).ravel()),
+        depth_bin=_depth_counts(scene),
+        reason_px=_reason_counts(scene, scene.reason.ravel()),
+        part_reason_px=_reason_counts(scene, scene.reason[on_part]),
+        error_step=error_step,
+        part_error_step=part_error_step,
+        gray={} if scene.gray is None else _counts(np.bincount(scene.gray.ravel())),
+        luma={} if scene.rgb is None else _counts(np.bincount(_luma(scene.rgb).ravel())),
     )
 
 
-def _counts(value: np.ndarray) -> dict[int, int]:
-    low = int(value.min(initial=0))
-    counts = np.bincount(value.astype(np.int64) - low)
-    return {int(k) + low: int(counts[k]) for k in np.flatnonzero(counts)}
+def _counts(counts: Int[np.ndarray, " n"], low: int = 0) -> dict[int, int]:
+    """Return a histogram without its empty bins; `low` is the value of the first bin."""
+    used = np.flatnonzero(counts)
+    return dict(zip((used + low).tolist(), counts[used].tolist(), strict=True))
 
 
-def _reason_counts(scene: SceneContent, within: Bool[np.ndarray, "h w"]) -> dict[str, int]:
-    counts = np.bincount(scene.reason[within], minlength=256)
+def _luma(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
+    return np.rint(rgb @ _LUMA).astype(np.uint8)
+
+
+def _depth_counts(scene: SceneContent) -> dict[int, int]:
+    if scene.depth is None:
+        return {}
+    of_step = np.bincount(scene.depth.ravel())
+    step = np.flatnonzero(of_step[1:]) + 1
+    depth_bin = (step * (scene.depth_scale_mm / DEPTH_BIN_MM)).astype(np.int64)
+    return _counts(np.bincount(depth_bin, of_step[step]).astype(np.int64))
+
+
+def _reason_counts(scene: SceneContent, reason: UInt8[np.ndarray, " n"]) -> dict[str, int]:
+    counts = np.bincount(reason, minlength=256)
     return {name: int(counts[number]) for number, name in sorted(scene.reason_name.items())}
 
 
-def _error_counts(scene: SceneContent, within: Bool[np.ndarray, "h w"]) -> dict[int, int]:
+def _error_counts(
+    scene: SceneContent, on_part: Bool[np.ndarray, "h w"]
+) -> tuple[dict[int, int], dict[int, int]]:
+    """Return the histogram of the errors of all pixels, and that of the parts' pixels."""
     if scene.depth is None or scene.scanner is None:
-        return {}
-    both = within & (scene.depth > 0) & (scene.scanner > 0)
-    step = scene.scanner[both].astype(np.int64) - scene.depth[both]
-    return _counts(step.clip(-ERROR_LIMIT_STEPS, ERROR_LIMIT_STEPS))
+        return {}, {}
+    both = np.flatnonzero((scene.depth > 0) & (scene.scanner > 0))
+    step = scene.scanner.take(both).astype(np.int32) - scene.depth.take(both)
+    low = -ERROR_LIMIT_STEPS
+    bins = step.clip(low, ERROR_LIMIT_STEPS) - low
+    of_parts = bins[on_part.take(both)]
+    return _counts(np.bincount(bins), low), _counts(np.bincount(of_parts), low)

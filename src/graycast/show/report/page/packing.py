@@ -20,8 +20,8 @@ from ....base.frames import inverse
 from ....camera.decode import Reason
 from ....rig.optics import Optics
 
-_LEVEL = 6
-_WHOLE = 65536
+_LEVEL = 4  # Level 6 takes twice the time and saves 3 % of the size.
+_FAST = 2
 
 
 def receiving(content: Mapping[str, Any]) -> bytes:
@@ -65,20 +65,22 @@ def plain_text(array: np.ndarray) -> str:
 
 def pack_bytes(values: UInt8[np.ndarray, "h w"]) -> str:
     """Return the bytes of a map, row by row, compressed."""
-    return _text(np.ascontiguousarray(values).tobytes())
+    return _text(np.ascontiguousarray(values).tobytes(), strategy=zlib.Z_RLE)
 
 
-def pack_words(values: UInt16[np.ndarray, "h w"], *, level: int = _LEVEL) -> str:
+def pack_words(values: UInt16[np.ndarray, "h w"], *, noisy: bool = False) -> str:
     """Return a map of 16-bit numbers, stored as residuals of a prediction from three neighbours.
 
     The residual is `v[r, c] - v[r-1, c] - v[r, c-1] + v[r-1, c-1]` modulo 2^16, with v = 0 outside;
     low bytes precede high bytes. Small residuals on planes need a third of a PNG's size.
+
+    Args:
+        noisy: the map is hard to compress, so little time is spent on it.
     """
-    wide = np.pad(values.astype(np.int32), ((1, 0), (1, 0)))
-    left_over = wide[1:, 1:] - wide[:-1, 1:] - wide[1:, :-1] + wide[:-1, :-1]
-    words = (left_over % _WHOLE).astype(np.uint16)
-    planes = np.stack([words & 255, words >> 8]).astype(np.uint8)
-    return _text(planes.tobytes(), level)
+    residual = np.diff(np.diff(np.pad(values, ((1, 0), (1, 0))), axis=0), axis=1)
+    if noisy:
+        return _text(_planes(residual), level=_FAST)
+    return _text(_planes(residual), strategy=zlib.Z_RLE)
 
 
 def pack_difference(values: UInt16[np.ndarray, "h w"], base: UInt16[np.ndarray, "h w"]) -> str:
@@ -86,18 +88,20 @@ def pack_difference(values: UInt16[np.ndarray, "h w"], base: UInt16[np.ndarray, 
 
     A signed difference d is first mapped to a small positive number (2 d, or -2 d - 1).
     """
-    d = values.astype(np.int32) - base
-    d = np.where(values > 0, (d + _WHOLE // 2) % _WHOLE - _WHOLE // 2, 0)
-    folded = np.where(d >= 0, 2 * d, -2 * d - 1).astype(np.uint16)
-    planes = np.stack([folded & 255, folded >> 8]).astype(np.uint8)
-    return _text(planes.tobytes())
+    d = np.where(values > 0, values - base, np.uint16(0)).view(np.int16)
+    folded = (d << 1) ^ (d >> 15)  # The second term is -1 for negative numbers, and 0 otherwise.
+    return _text(_planes(folded.view(np.uint16)))
+
+
+def _planes(words: UInt16[np.ndarray, "h w"]) -> bytes:
+    """Return the low bytes of all numbers, and then the high bytes."""
+    return words.astype(np.uint8).tobytes() + (words >> 8).astype(np.uint8).tobytes()
 
 
 def jpeg(picture: UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w"], quality: int) -> bytes:
     """Return an RGB or grey picture as a JPEG."""
-    image = picture if picture.ndim == 2 else picture[..., ::-1]
-    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
-    return cv2.imencode(".jpg", np.ascontiguousarray(image), options)[1].tobytes()
+    image = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 def jpeg_url(picture: UInt8[np.ndarray, "..."], quality: int) -> str:
@@ -132,5 +136,10 @@ def _json(content: Mapping[str, Any]) -> str:
     return json.dumps(content, allow_nan=False, separators=(",", ":"))
 
 
-def _text(data: bytes, level: int = _LEVEL) -> str:
-    return base64.b64encode(zlib.compress(data, level)).decode()
+def _text(data: bytes, *, level: int = _LEVEL, strategy: int = zlib.Z_DEFAULT_STRATEGY) -> str:
+    """Return compressed bytes as base64.
+
+    On residuals and reasons, `Z_RLE` takes a third of the time, and the result is not larger.
+    """
+    deflate = zlib.compressobj(level, strategy=strategy)
+    return base64.b64encode(deflate.compress(data) + deflate.flush()).decode()

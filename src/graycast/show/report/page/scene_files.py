@@ -34,7 +34,6 @@ from .packing import (
 
 THUMB_PX = 288
 _THUMB_QUALITY, _FRAME_QUALITY, _PICTURE_QUALITY = 80, 85, 90
-_FAST = 2  # fast level of zlib, because noisy code maps are hard to compress
 _STEPS = 65534  # largest number of steps in 16 bits; they begin at 1, because 0 means missing
 MISSING_COLOR = "#555b6e"
 
@@ -114,7 +113,7 @@ def _packed(image: Float32[np.ndarray, "h w"]) -> dict[str, Any]:
     step = 2.0 ** math.ceil(math.log2(max(span, 2.0**-8) / (_STEPS - 1)))
     steps = np.rint((np.where(known, image, low).astype(np.float64) - low) / step) + 1
     return {
-        "words": pack_words(np.where(known, steps, 0).astype(np.uint16), level=_FAST),
+        "words": pack_words(np.where(known, steps, 0).astype(np.uint16), noisy=True),
         "low": low,
         "step": step,
     }

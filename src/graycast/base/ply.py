@@ -135,17 +135,20 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
     return lines, table, count
 
 
-def ascii_mesh(
+def triangles(
     path: Path,
 ) -> tuple[list[str], Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Return the header, vertices and triangles of an ASCII PLY file as Graycast writes it.
+    """Return the header, vertices and triangles of an ASCII PLY file of ours, or of a binary file.
 
-    trimesh reads every PLY file, but its import takes longer than the check of a scene.
+    trimesh reads binary files. Its import takes longer than the check of a scene, so it does not
+    read ours.
 
     Raises:
-        DatasetError: the file is damaged, or another program wrote it.
+        DatasetError: the file is damaged, or another program wrote it as ASCII.
     """
     lines, body = split(path)
+    if lines[1].startswith("format binary"):
+        return lines, *_binary_triangles(path)
     rows = [row.split() for row in body.splitlines()]
     try:
         vertices, faces = (int(line.split()[2]) for line in lines if line.startswith("element "))
@@ -156,6 +159,17 @@ def ascii_mesh(
     except (ValueError, IndexError) as error:
         raise DatasetError(f"{path}: is no intact ASCII PLY file of triangles ({error})") from error
     return lines, point.reshape(-1, 3), corners[:, 1:]
+
+
+def _binary_triangles(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    from trimesh.exchange.ply import load_ply
+
+    try:
+        with open(path, "rb") as file:
+            mesh = load_ply(file)
+        return mesh["vertices"].astype(np.float64), mesh["faces"].astype(np.int64).reshape(-1, 3)
+    except Exception as error:  # trimesh has no exception class for damaged files.
+        raise DatasetError(f"{path}: is no intact PLY file of triangles ({error})") from error
 
 
 def _row_sizes(lines: Sequence[str], body: bytes) -> set[int]:

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from ...base.errors import DatasetError
 from ...base.frames import is_rigid
-from ...base.ply import TEXTURE, ascii_mesh
+from ...base.ply import TEXTURE, triangles
 from ..files import records
 from ..files.safe_reading import Unreadable
 
@@ -30,7 +30,7 @@ def read_model(out: Path, obj_id: int, info: records.ModelInfo) -> Model:
     if not path.is_file():
         raise Unreadable(f"models/{path.name} is missing")
     try:
-        head, vertices, faces = ascii_mesh(path)
+        head, vertices, faces = triangles(path)
     except DatasetError as error:
         raise Unreadable(str(error)) from error
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):

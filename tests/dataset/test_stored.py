@@ -35,6 +35,12 @@ def test_stored_instances_labels_and_label_map_equal_those_of_the_sample(dataset
         assert list(scene.obj_ids()) == (sample.layout.part_index + 1).tolist()
         assert [label.instance for label in scene.labels()] == np.flatnonzero(area_px).tolist()
         assert [label.area_px for label in scene.labels()] == [a for a in area_px if a]
+        for label in scene.labels():
+            x, y, columns, rows = label.box
+            whole = sample.truth.instance == label.instance
+            window = whole[y : y + rows, x : x + columns]
+            np.testing.assert_array_equal(label.window(), window)
+            assert window.sum() == whole.sum() > 0
 
 
 def test_scenes_of_other_splits_are_distinguished(dataset_and_samples, tmp_path):

@@ -18,6 +18,7 @@ class Plain:
     """The pictures and records of one image; `info` and `coco` have an entry for each camera type.
 
     `coco` holds the annotations of this image only, and `first_annotation` the id of the first one.
+    `image` lacks pictures of the right form whose pixels no check reads.
     `files` and `number` say where the image is stored; `numbers` are the scanner's image numbers.
     """
 

@@ -11,7 +11,7 @@ from ...base.frames import is_rigid
 from ...camera.decode import Reason
 from ..files import records
 from ..files.places import camera_file
-from ..files.safe_reading import Form, Unreadable, png_kind
+from ..files.safe_reading import Form, Unreadable, is_intact_png, png_kind
 from ..files.scene_folder import OWN_PICTURES, SceneFolder, of_sensor, own_form
 from .mask_check import mask_problems
 from .model_check import Model
@@ -23,6 +23,7 @@ R = TypeVar("R")
 BOX_MM = 1e-3  # This is a tolerance, because models store sizes with nine digits.
 WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # Poses from two cameras may differ by rounding.
 
+_ONLY_FORM = ("rgb", "modulation_sl")  # No check reads the pixels of these pictures.
 _OF_IMAGE = ("scene_camera", "scene_gt", "scene_gt_info")
 
 
@@ -134,9 +135,7 @@ def _read_image(
         number=number,
         numbers=numbers,
         first_annotation=dict(first_annotation),
-        image={
-            name: files.png(name, number) for name in (*OWN_PICTURES, *files.optional_pictures())
-        },
+        image=_pictures(files, number),
         view=view[""],
         poses=poses[""],
         info=info,
@@ -144,6 +143,17 @@ def _read_image(
         box3d=files.of_image("scene_gt_box3d", number, list[records.Box3d]),
         scanner=files.of_image("scene_sl", number, records.ScannerRecord),
     )
+
+
+def _pictures(files: SceneFolder, number: int) -> dict[str, np.ndarray]:
+    """Read the pictures, except those of which only the form is checked, if they are intact."""
+    names = (*OWN_PICTURES, *files.optional_pictures())
+    image = {name: files.png(name, number) for name in names if name not in _ONLY_FORM}
+    for name in _ONLY_FORM:
+        form = own_form(name, image["depth"].shape[:2])
+        if not is_intact_png(files.png_path(name, number), *form):
+            image[name] = files.png(name, number)
+    return image
 
 
 def _of_both(files: SceneFolder, name: str, number: int, form: Form[R]) -> dict[str, R]:

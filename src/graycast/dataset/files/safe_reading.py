@@ -73,7 +73,11 @@ def mask_pixels(data: bytes, name: str) -> np.ndarray:
     Raises:
         Unreadable: the data are damaged or not a mask.
     """
-    image = png_pixels(data, name)
+    kinds = _intact_chunks(data, name)
+    refuse_large_picture(data, name, Unreadable)
+    image = _plain_rows(data)
+    if image is None:
+        image = _decoded(data, name, turnable=b"eXIf" in kinds)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise Unreadable(f"{name} is {image.shape} {image.dtype}, it must be one channel of uint8")
     mask = image == 255
@@ -126,9 +130,27 @@ def png_pixels(data: bytes, name: str) -> np.ndarray:
     Raises:
         Unreadable: the data are damaged.
     """
-    if (kinds := _png_chunks(data)) is None:
-        raise Unreadable(f"{name} is cut off or damaged")
-    return _decoded(data, name, turnable=b"eXIf" in kinds)
+    return _decoded(data, name, turnable=b"eXIf" in _intact_chunks(data, name))
+
+
+def _plain_rows(data: bytes) -> np.ndarray | None:
+    """Return the pixels of an 8-bit grey PNG whose rows have no filter, as Graycast stores masks.
+
+    This takes half the time of a decoder. The result is None for any other PNG.
+    """
+    length = int.from_bytes(data[33:37], "big")
+    if data[24:29] != b"\x08\0\0\0\0" or data[37:41] != b"IDAT" or len(data) != 57 + length:
+        return None
+    width_px, height_px = struct.unpack(">II", data[16:24])
+    size, inflate = height_px * (1 + width_px), zlib.decompressobj()
+    try:
+        content = inflate.decompress(data[41 : 41 + length], size + 1)
+    except zlib.error:
+        return None  # The decoder will say what is wrong with the file.
+    if len(content) != size or not inflate.eof:
+        return None
+    rows = np.frombuffer(content, dtype=np.uint8).reshape(height_px, 1 + width_px)
+    return None if rows[:, 0].any() else rows[:, 1:]
 
 
 def is_intact_png(path: Path, shape: tuple[int, ...], dtype: type) -> bool:
@@ -144,6 +166,12 @@ def is_intact_png(path: Path, shape: tuple[int, ...], dtype: type) -> bool:
     must = struct.pack(">IIBB", shape[1], shape[0], bits, colors)
     plain = {b"IHDR", b"IDAT", b"IEND"}  # Other chunks may change the decoded picture.
     return data[16:26] == must and _png_chunks(data) == plain
+
+
+def _intact_chunks(data: bytes, name: str) -> set[bytes]:
+    if (kinds := _png_chunks(data)) is None:
+        raise Unreadable(f"{name} is cut off or damaged")
+    return kinds
 
 
 def _png_chunks(data: bytes) -> set[bytes] | None:

@@ -34,7 +34,9 @@ def recorded(dataset, out, workers=1):
     for chunk in RrdReader(out / "train.rrd").stream():
         columns = rows if not chunk.is_static else static
         own = columns.setdefault(chunk.entity_path, {})
-        for name, column in chunk.to_record_batch().to_pydict().items():
+        batch = chunk.to_record_batch()
+        own["types"] = [f"{field.name} {field.type}" for field in batch.schema]
+        for name, column in batch.to_pydict().items():
             if name != "rerun.controls.RowId":  # These ids are random.
                 own.setdefault(name, []).extend(column)
     return rows, static

@@ -7,6 +7,7 @@ Rerun's camera has no lens distortion: `points` are exact, but depth shown in 3D
 """
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,10 @@ except ImportError as error:
     ) from error
 
 
-_Logged = tuple[str, Any]  # A path, and what rerun shows there.
+_PNG = "image/png"
+# A path, and the call that makes what rerun shows there. On the way between processes, its result
+# would lose the marks `not null` of its Arrow types.
+_Logged = tuple[str, partial[Any]]
 
 
 def content(job: PictureJob) -> tuple[int, list[_Logged]]:
@@ -57,8 +61,8 @@ def write_split(
         _log_models(recording, stored)
         for image_id, logged in contents:
             recording.set_time("picture", sequence=image_id)
-            for path, value in logged:
-                recording.log(path, value)
+            for path, make in logged:
+                recording.log(path, make())
     finally:
         recording.disconnect()
 
@@ -85,10 +89,12 @@ def _scanner(scene: StoredScene, options: Options) -> Iterator[_Logged]:
     root, view, (height_px, width_px) = _root(scene.sensor), scene.view(), scene.size_px
     T_world_cam = camera_pose(scene)
     if T_world_cam is not None:
-        yield root, rr.Transform3D(translation=T_world_cam[:3, 3], mat3x3=T_world_cam[:3, :3])
+        shift, turn = T_world_cam[:3, 3], T_world_cam[:3, :3]
+        yield root, partial(rr.Transform3D, translation=shift, mat3x3=turn)
     yield (
         f"{root}/camera",
-        rr.Pinhole(
+        partial(
+            rr.Pinhole,
             image_from_camera=np.reshape(view.cam_K, (3, 3)),
             resolution=[width_px, height_px],
             camera_xyz=rr.ViewCoordinates.RDF,
@@ -96,21 +102,21 @@ def _scanner(scene: StoredScene, options: Options) -> Iterator[_Logged]:
     )
     if options.picture is not None:
         picture = scene.png(options.picture).read_bytes()
-        yield f"{root}/camera/image", rr.EncodedImage(contents=picture, media_type="image/png")
+        yield f"{root}/camera/image", partial(rr.EncodedImage, contents=picture, media_type=_PNG)
     if options.depths:  # If there are both depths, the scanner's is the second.
         depth_m, color = scene.depth_m(options.depths[-1]), color_image(scene, options)
         yield f"{root}/camera/depth", _depth(scene, options.depths[-1])
         keep = np.flatnonzero(depth_m > 0)
         point_m = point_image(scene, depth_m).reshape(-1, 3).take(keep, axis=0)
         own_color = None if color is None else color.reshape(-1, 3).take(keep, axis=0)
-        yield f"{root}/points", rr.Points3D(point_m, colors=own_color)
+        yield f"{root}/points", partial(rr.Points3D, point_m, colors=own_color)
 
 
-def _depth(scene: StoredScene, depth: str) -> "rr.EncodedDepthImage":
+def _depth(scene: StoredScene, depth: str) -> partial["rr.EncodedDepthImage"]:
     """Return a depth picture as it is stored, in steps; `meter` is the steps per metre."""
     steps_per_m = 1000 / scene.view().depth_scale
     blob = scene.png(depth).read_bytes()
-    return rr.EncodedDepthImage(blob=blob, media_type="image/png", meter=steps_per_m)
+    return partial(rr.EncodedDepthImage, blob=blob, media_type=_PNG, meter=steps_per_m)
 
 
 def _truth(scene: StoredScene, options: Options) -> Iterator[_Logged]:
@@ -118,7 +124,7 @@ def _truth(scene: StoredScene, options: Options) -> Iterator[_Logged]:
     if len(options.depths) == 2:
         yield f"{root}/camera/truth/depth", _depth(scene, options.depths[0])
     if "masks" in scene.holds:
-        numbers = rr.SegmentationImage(instance_numbers(scene))
+        numbers = partial(rr.SegmentationImage, instance_numbers(scene))
         yield f"{root}/camera/truth/instances", numbers
     if "poses" in scene.holds:
         T_cam_part, part_id = part_poses(scene), np.array(scene.obj_ids())
@@ -126,5 +132,6 @@ def _truth(scene: StoredScene, options: Options) -> Iterator[_Logged]:
             T = T_cam_part[part_id == obj_id]
             # Rerun draws a mesh without poses at the origin, so an absent part gets size zero.
             T = T if len(T) else np.zeros((1, 4, 4))
-            poses = rr.InstancePoses3D(translations=T[:, :3, 3], mat3x3=T[:, :3, :3])
+            shifts, turns = T[:, :3, 3], T[:, :3, :3]
+            poses = partial(rr.InstancePoses3D, translations=shifts, mat3x3=turns)
             yield f"{root}/truth/parts/{obj_id}", poses

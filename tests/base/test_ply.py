@@ -48,8 +48,10 @@ def test_a_file_that_was_cut_off_is_refused(tmp_path, binary):
 
 
 @pytest.mark.parametrize(
-    "old, new", [(b"3 0 2 1", b"4 0 2 1 3"), (b"1.5 0 0", b"1.5 x 0"), (b"ascii 1.0", b"ascii 2")]
-)
+    "old, new",
+    [(b"3 0 2 1", b"4 0 2 1 3"), (b"1.5 0 0", b"1.5 x 0"), (b"ascii 1.0", b"ascii 2"),
+     (ascii_text(), b"ply\nend_header\n")],
+)  # fmt: skip
 def test_an_ascii_file_of_another_form_is_refused(tmp_path, old, new):
     path = tmp_path / "part.ply"
     path.write_bytes(ascii_text().replace(old, new))

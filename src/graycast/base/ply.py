@@ -147,7 +147,7 @@ def triangles(
         DatasetError: the file is damaged, or another program wrote it as ASCII.
     """
     lines, body = split(path)
-    if lines[1].startswith("format binary"):
+    if any(line.startswith("format binary") for line in lines):
         return lines, *_binary_triangles(path)
     rows = [row.split() for row in body.splitlines()]
     try:

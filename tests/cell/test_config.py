@@ -481,6 +481,7 @@ _PLACES = {
     "JitterSection": ("views", "jitter"),
     "ScannerEntry": ("scanners", 0),
     "Waypoint": ("motion", "path", 0),
+    "PartMotion": ("motion", "parts", 0),
     "AdaptedSection": ("domain", "adapted"),
     "CameraTolerance": ("domain", "adapted", "camera"),
     "BinTolerance": ("domain", "adapted", "bin"),

@@ -12,7 +12,7 @@ from graycast.base.frames import axis_rotation, inverse, rigid, transform_points
 from graycast.camera.decode import DecodeSpec, Levels, decode
 from graycast.camera.exposure import ExposureSpec, ExposureTimes
 from graycast.camera.scanner import Scanner, measure, preset, scan, take
-from graycast.cell.motion import MotionSection, flow_px, pose_at, speed_px_s, timeline
+from graycast.cell.motion import MotionSection, pose_at, speed_px_s, timeline
 from graycast.cell.moving_light import MovingLight, plan_renders
 from graycast.cell.resolve import patterns_of
 from graycast.rendering import Quality, open_renderer
@@ -119,18 +119,6 @@ def test_the_speed_of_the_picture_is_that_of_its_nearest_point(rig):
     in_camera = rig.camera.fy_px * 0.1 / rig.near_m
     assert in_camera * 0.99 <= speed
     assert speed <= 1.5 * max(rig.camera.fy_px, rig.projector.fy_px) * 0.1 / rig.near_m
-
-
-def test_flow_leads_to_the_pixel_that_sees_the_point_at_the_other_time(rig):
-    rng = np.random.default_rng(0)
-    depth_m = rng.uniform(0.6, 0.9, (rig.camera.height_px, rig.camera.width_px))
-    motion = MotionSection(belt_m_s=(0.1, -0.05, 0.02), rig_deg_s=(3.0, 0.0, 1.0))
-    flow = flow_px(rig.camera, depth_m, DOWN, motion, 0.4)
-    world_m = transform_points(DOWN, points(rig.camera, depth_m)[2, 30])
-    moved_m = world_m + np.array([0.1, -0.05, 0.02]) * 0.4  # The belt moves, the camera only turns.
-    turned = pose_at(DOWN, MotionSection(rig_deg_s=(3.0, 0.0, 1.0)), 0.4)
-    pixel = project(rig.camera, transform_points(inverse(turned), moved_m))
-    assert np.allclose(np.array([30, 2]) + flow[2, 30], pixel)
 
 
 # --- few renders for many pictures ---------------------------------------------------------------

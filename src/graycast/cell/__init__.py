@@ -4,13 +4,14 @@ Each imports only from those above it:
 
     domain           how scenes differ from their cell, and a record of the differences
     views            the camera poses of a scene's images
-    motion           motion of the belt or the rig during a scan, and the times of its pictures
+    motion           motion of belt, rig and parts during a scan, and the times of its pictures
     config           the configuration in YAML, and the values that it resolves to
     stored_bin       the bin of a stored dataset
     framing          how much of a picture a bin and a part cover; the scanner that fits a bin
     new_cell         a commented configuration for one part
     resolve          a configuration with its files' contents, shared by all scenes
     metering         the region of a picture from which a scanner meters its exposure
+    moving_parts     parts that move on their own, and the flow of all points
     moving_light     the light of a moving scene in each picture, from few renders
     scanner_device   what a program calls of a scanner, and the frame that it receives
     bag_scanner      the scanner of a ROS 2 bag, with the same calls

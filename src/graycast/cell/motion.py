@@ -1,10 +1,10 @@
-"""Motion during a scan: a belt under the rig or a rig in a robot's hand; the times of pictures.
+"""Motion during a scan: belt, rig in a robot's hand, and moving parts; the times of pictures.
 
 A rigid motion of bin and parts relative to the rig is a motion of the rig, so the scene is built
-once and is rendered from several poses.
+once and is rendered from several poses. Only parts that move on their own need a new scene.
 
-Leaves out: parts that move relative to the bin. Lamps, environment and table keep their places
-relative to the bin, also if a belt moves it below them.
+Leaves out: lamps, environment and table keep their places relative to the bin, also if a belt moves
+it below them.
 """
 
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..base.errors import ConfigError
-from ..base.frames import inverse, pixel_grid, rigid, transform_points
+from ..base.frames import inverse, rigid, transform_points
 from ..base.settings import Positive, Settings
 from ..camera.exposure import ExposureTimes
-from ..rig.optics import Optics, points, project, rays
+from ..rig.optics import project, rays
 from ..rig.pair import Rig
 from .views import refuse_no_pose
 
@@ -47,6 +47,24 @@ class Waypoint(Settings):
         return self
 
 
+class PartMotion(Settings):
+    """A part that moves on its own in the bin's frame, such as one that rolls or swings."""
+
+    part: int = Field(ge=0, description="The number of the part in the scene, counted from 0.")
+    velocity_m_s: tuple[_Speed, _Speed, _Speed] = Field(
+        default=(0.0, 0.0, 0.0), description="The velocity of the pivot, in metres per second."
+    )
+    turn_deg_s: tuple[_Turn, _Turn, _Turn] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="The angular velocity about the axes of the world, in degrees per second.",
+    )
+    pivot_m: tuple[float, float, float] | None = Field(
+        default=None,
+        description="A point in the world about which the part turns, at the time of the ground "
+        "truth. Without this key, it is the origin of the part's model.",
+    )
+
+
 class MotionSection(Settings):
     """Motion during a scan. The ground truth has the poses in the middle of one picture.
 
@@ -71,6 +89,9 @@ class MotionSection(Settings):
         min_length=2,
         description="Poses of the camera with their times, which replace rig_m_s and rig_deg_s. "
         "Only the differences of the poses count: at time 0 the camera has the pose of view.",
+    )
+    parts: tuple[PartMotion, ...] = Field(
+        default=(), description="Parts that move on their own, relative to the bin."
     )
     picture_s: Positive | None = Field(
         default=None,
@@ -156,28 +177,6 @@ def _on_path(path: tuple[Waypoint, ...], time_s: float) -> Pose:
     T = np.reshape([waypoint.T_base_cam for waypoint in path], (-1, 4, 4))
     turned = Slerp(when_s, Rotation.from_matrix(T[:, :3, :3]))(time_s).as_matrix()
     return rigid(turned, np.array([np.interp(time_s, when_s, T[:, k, 3]) for k in range(3)]))
-
-
-def flow_px(
-    camera: Optics,
-    depth_m: Float[np.ndarray, "h w"],
-    T_world_cam: Pose,
-    motion: MotionSection,
-    time_s: float,
-) -> Float[np.ndarray, "h w 2"]:
-    """Return how far the surface point of each pixel is from this pixel at another time [px].
-
-    Args:
-        depth_m: perfect depth at the time of the ground truth; the flow is NaN where it is NaN.
-        time_s: the other time after that of the ground truth.
-
-    Raises:
-        ConfigError: the path does not include this time.
-    """
-    T_then_now = inverse(pose_at(T_world_cam, motion, time_s)) @ T_world_cam
-    return project(camera, transform_points(T_then_now, points(camera, depth_m))) - pixel_grid(
-        camera.height_px, camera.width_px
-    )
 
 
 def speed_px_s(

@@ -26,6 +26,7 @@ from ..camera.light import SensorLight, camera_light
 from ..rendering import Quality, Renderer
 from ..world.scene import Layout, Scene, bin_of
 from .motion import MotionSection, Timeline, pose_at, speed_px_s, timeline
+from .moving_parts import layout_at, parts_speed_px_s
 from .views import refuse_inside
 
 
@@ -101,7 +102,7 @@ class MovingLight:
         """
         line = timeline(self._motion, times, len(self._patterns))
         self._line = line
-        plan = _plan(self._scene, self._motion, line)
+        plan = _plan(self._scene, self._layout, self._motion, line)
         exposures, frames = line.start_s.shape
         camera = self._scene.rig.camera
         shape = (exposures, frames, camera.height_px, camera.width_px)
@@ -149,21 +150,20 @@ class MovingLight:
         if scene.bin is not None:
             refuse_inside(T_world_cam, scene.rig, bin_of(scene), f"motion: {time_s:.3g} s")
         moved = replace(scene, T_world_cam=T_world_cam)
+        layout = layout_at(self._layout, self._motion, time_s)
         rendering = self._renderer.render(
-            moved, self._layout, self._patterns[frames_now], quality=self._quality, seed=self._seed
+            moved, layout, self._patterns[frames_now], quality=self._quality, seed=self._seed
         )
         return camera_light(rendering.radiance, scene.rig)
 
 
-def _plan(scene: Scene, motion: MotionSection, line: Timeline) -> RenderPlan:
+def _plan(scene: Scene, layout: Layout, motion: MotionSection, line: Timeline) -> RenderPlan:
     duration_s = np.repeat(line.duration_s, line.start_s.shape[1])
     start_s = line.start_s.ravel()
-    speed = speed_px_s(
-        scene.rig,
-        scene.T_world_cam,
-        motion,
-        start_s=float(start_s[0]),
-        end_s=float(start_s[-1] + duration_s[-1]),
+    ends = {"start_s": float(start_s[0]), "end_s": float(start_s[-1] + duration_s[-1])}
+    speed = max(
+        speed_px_s(scene.rig, scene.T_world_cam, motion, **ends),
+        parts_speed_px_s(scene, layout, motion, **ends),
     )
     longest_s = motion.render_px / speed if speed else math.inf
     return plan_renders(start_s, duration_s, longest_s=longest_s)

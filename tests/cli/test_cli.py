@@ -85,7 +85,7 @@ OPTIONS = {
     "rig hand-eye": "scans --poses --board --mount --rig --resolution --intrinsics --distortion "
     "--scale --ray-length --out --simulate --guess --corner-noise --robot-noise --seed",
     "rig patterns": "rig --resolution --out --codec --inverses",
-    "rig decode": "stack --rig --resolution --average --out",
+    "rig decode": "stack --rig --resolution --average --motion --out",
     "rig certify": "rig --resolution --out --seed --backend --device",
     "rig design": "study --out --list --device WORKERS",
     "real measure": "depth --out --intrinsics --scale --size --ray-length --gray --reason",

@@ -89,6 +89,14 @@ sides_m = metres(
 png_path = reader(
     Path, lambda path: path.suffix.lower() == ".png", "the name of a PNG file: end it with .png"
 )
+motion_m = metres(
+    reader(
+        numbers,
+        lambda motion: len(motion) == 3 and all(map(math.isfinite, motion)),
+        "three lengths in metres such as 0.001,0,0.0002",
+    ),
+    0.1,
+)
 distortion = reader(
     numbers, lambda k: len(k) == 5, "five numbers k1,k2,p1,p2,k3, separated by commas"
 )

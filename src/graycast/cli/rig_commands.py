@@ -26,7 +26,7 @@ from .arguments import (
 )
 from .bars import open_bars
 from .hand_eye_command import add_hand_eye
-from .readers import above_zero, length_m, metres, sides_m, size
+from .readers import above_zero, length_m, metres, motion_m, sides_m, size
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -166,6 +166,12 @@ def _add_pictures(group) -> None:
     add_shared(decode, "--resolution", usual="low")
     average = "Write one 3D point for each projector pixel instead of each camera pixel."
     add_option(decode, "--average", None, average)
+    motion = (
+        "Take the pictures of a scene that moves steadily back to the middle picture. The assumed "
+        "motion from picture to picture, in metres along x, y and z of the camera, is where the "
+        "search for the motion starts: 0,0,0 for small motions; a negative number needs --motion=."
+    )
+    add_option(decode, "--motion", motion_m, motion, metavar="X,Y,Z")
     add_out(decode, "The folder to write.")
 
 
@@ -310,9 +316,15 @@ def _decode(options: argparse.Namespace) -> None:
     stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
     scanner = stack_scanner(stack) if options.rig is None else resolve_rig_option(options)
     if scanner is None:
-        result = decode_stack(stack, average=options.average)
+        result = decode_stack(stack, average=options.average, motion_m=options.motion)
     else:
-        result = decode_stack(stack, scanner.rig, average=options.average, filters=scanner.filters)
+        result = decode_stack(
+            stack,
+            scanner.rig,
+            average=options.average,
+            filters=scanner.filters,
+            motion_m=options.motion,
+        )
     written = write_result(result, options.out)
     print(describe_result(result))
     if scanner is not None:

@@ -1,61 +1,21 @@
 """Pictures of a moving scene, taken back to one time: the result is a stack of a scene at rest."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from moving_wall import WALL_M, motions, pictures_of_wall, wall_depth, window_rig
 
 from graycast.base.errors import DecodeError
-from graycast.base.frames import axis_rotation, inverse, rigid, transform_points
+from graycast.base.frames import transform_points
 from graycast.camera.decode import DecodeSpec, Levels, decode, take_back, triangulate
-from graycast.rig.optics import in_picture, picture_rays, points, project
-from graycast.rig.pair import preset_rig
+from graycast.rig.optics import in_picture, points, project
 from graycast.rig.pattern import CodeSpec
 
-WALL_M = np.array([0.1, 0.05, 1.0]), 0.8  # Normal direction and distance along the camera's axis
 LEVELS = Levels(offset_dn=0.0, floor_dn2=400.0, slope_dn=0.0, saturation_dn=65_000.0)
 
 
 @pytest.fixture(scope="module")
 def rig():
-    """Return a small window of a PhoXi M's camera, with a range of 0.7 to 0.9 m."""
-    rig = preset_rig("like-phoxi-m", "small")
-    camera = replace(rig.camera, width_px=120, height_px=60, cx_px=60.0, cy_px=30.0)
-    return replace(rig, camera=camera, near_m=0.7, far_m=0.9)
-
-
-def wall_depth(camera, normal, distance_m):
-    """Return the depth of each pixel on the plane `normal . x = distance_m normal[2]`."""
-    return distance_m * normal[2] / (picture_rays(camera) @ normal)
-
-
-def pictures_of_wall(rig, code, T_then_now):
-    """Return exact pictures of a wall that moves, from the geometry of each picture alone."""
-    normal, distance_m = WALL_M
-    frames = []
-    for k, T in enumerate(T_then_now):
-        moved_normal = T[:3, :3] @ normal
-        on_wall = transform_points(T, np.array([0.0, 0.0, distance_m]))
-        depth_m = (moved_normal @ on_wall) / (picture_rays(rig.camera) @ moved_normal)
-        place = project(
-            rig.projector, transform_points(inverse(rig.T_cam_proj), points(rig.camera, depth_m))
-        )
-        frame = code.frames[k]
-        share = code.share(frame)
-        axis = 0 if frame.axis == "column" else 1
-        light = np.interp(place[..., axis], np.arange(len(share)), share) if frame.axis else share
-        # A texture that is fixed to the wall: a slope of brightness along its own x.
-        own = transform_points(inverse(T), points(rig.camera, depth_m))
-        frames.append((1 + own[..., 0]) * (2_000 + 30_000 * light))
-    return np.round(frames).astype(np.uint16)
-
-
-def motions(count, velocity_m, turn_rad):
-    """Return `T_then_now` of a steady motion; the middle picture has the reference time."""
-    steps = np.arange(count) - count // 2
-    return np.stack(
-        [rigid(axis_rotation("z", turn_rad * s), np.array(velocity_m) * s) for s in steps]
-    )
+    return window_rig(120, 60)
 
 
 @pytest.mark.parametrize("codec", ["gray_phase", "multi_frequency", "xor_gray"])

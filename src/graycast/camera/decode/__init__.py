@@ -8,6 +8,8 @@ positions      from all frames to positions; each pixel is decoded or gets a rea
 settling       ambiguous periods, which neighbours resolve
 visibility     pixels that a nearer surface must hide
 separation     direct and global light
+moving_points  points of a moving scene and their light in all pictures
+motion_estimate  the estimate of a steady motion
 taken_back     pictures of a moving scene, taken back to one time
 meeting        intersections of camera rays and projector planes, compiled
 field          pixels that the projector's picture cannot reach
@@ -30,6 +32,7 @@ from .maps import (
     Mark,
     levels_of,
 )
+from .motion_estimate import steady_motion, steady_transforms
 from .positions import decode
 from .reasons import (
     POSITIONED,
@@ -73,6 +76,8 @@ __all__ = [
     "reason_counts",
     "reason_shares",
     "separate",
+    "steady_motion",
+    "steady_transforms",
     "take_back",
     "triangulate",
     "triangulation_axis",

@@ -17,18 +17,26 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Int
 
 from ...base import array_types as arrays
 from ...base.errors import DecodeError
-from ...base.frames import inverse, transform_points
 from ...base.kernels import kernel
-from ...rig.optics import picture_rays, project, rays
+from ...rig.optics import picture_rays
 from ...rig.pair import Rig
 from ...rig.pattern import AXES, Axis, Code
+from .moving_points import (
+    at_nearness,
+    between,
+    displacements,
+    light_of_frames,
+    nearnesses,
+    places,
+    share_at,
+    value_at,
+)
 
 STEP_PX = 2.0  # Motion of the projector's place between two depths that are tried
-GRID = 9  # Displacements are exact at this many rows, columns and depths, and are interpolated.
 
 
 def take_back(
@@ -58,62 +66,18 @@ def take_back(
             f"{len(code.frames)} frames: give one frame and one pose for each"
         )
     stack = np.ascontiguousarray(frames)
-    shift, light, steps = _shifts(rig, T_then_now), _light(code), _steps(code)
+    shift, light, steps = displacements(rig, T_then_now), light_of_frames(code), _steps(code)
     ray = picture_rays(rig.camera)
-    nearness = _nearness(rig, ray)
+    nearness = nearnesses(rig, step_px=STEP_PX)
     score = np.zeros(ray.shape[:2], dtype=np.float32)
     best = np.full(ray.shape[:2], -1.0, dtype=np.float32)
     for near in nearness.tolist():
-        place = _places(rig, ray, near)
-        _correlate(stack, shift, np.float32(near), place, light, score, best)
+        place, moved = places(rig, ray, near), at_nearness(shift, np.float32(near))
+        _correlate(stack, moved, np.float32(near), place, light, score, best)
     result = np.zeros_like(stack)
-    place = _places(rig, ray, best)
+    place = places(rig, ray, best)
     _give_back(stack, shift, best, place, light, steps, saturation_dn, result)
     return result
-
-
-def _depth_m(rig: Rig, near):
-    """Return the depth for a nearness of 0, the far end of the range, to 1, the near end."""
-    return 1 / (1 / rig.far_m + near * (1 / rig.near_m - 1 / rig.far_m))
-
-
-def _nearness(rig: Rig, ray) -> Float[np.ndarray, " depths"]:
-    """Return nearnesses between which the projector's place moves by at most `STEP_PX`."""
-    far, near = (_places(rig, ray[::16, ::16], end) for end in (0.0, 1.0))
-    return np.linspace(0, 1, math.ceil(float(np.nanmax(np.abs(far - near))) / STEP_PX) + 1)
-
-
-def _places(rig: Rig, ray, near) -> Float[np.ndarray, "2 h w"]:
-    """Return the projector's column and row that light each pixel at a depth."""
-    point_m = ray * np.asarray(_depth_m(rig, near))[..., None]
-    at = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point_m))
-    return np.ascontiguousarray(np.moveaxis(at, -1, 0), dtype=np.float32)
-
-
-def _shifts(rig: Rig, T_then_now) -> Float[np.ndarray, "n depths grid grid 4"]:
-    """Return each picture's motion of a pixel (x, y) and of a place (column, row)."""
-    camera = rig.camera
-    x, y = (np.linspace(0, size - 1, GRID) for size in (camera.width_px, camera.height_px))
-    pixel = np.stack(np.meshgrid(x, y), axis=-1)
-    ray = rays(camera, pixel)
-    T_proj_cam = inverse(rig.T_cam_proj)
-    shift = np.empty((len(T_then_now), GRID, GRID, GRID, 4), dtype=np.float32)
-    for number, near in enumerate(np.linspace(0, 1, GRID)):
-        point_m = ray / ray[..., 2:] * _depth_m(rig, near)
-        before = project(rig.projector, transform_points(T_proj_cam, point_m))
-        for k, T in enumerate(T_then_now):
-            moved_m = transform_points(T, point_m)
-            shift[k, number, ..., :2] = project(camera, moved_m) - pixel
-            at = project(rig.projector, transform_points(T_proj_cam, moved_m))
-            shift[k, number, ..., 2:] = at - before
-    return shift
-
-
-class _Light(NamedTuple):
-    """The share of white of each frame at each projector pixel, and its axis (2 for none)."""
-
-    share: Float32[np.ndarray, "n length"]
-    axis: Int[np.ndarray, " n"]
 
 
 class _Steps(NamedTuple):
@@ -128,17 +92,6 @@ class _Steps(NamedTuple):
     group: Int[np.ndarray, " n"]
     finest: Float[np.ndarray, "2 frames"]
     delta: Float[np.ndarray, "2 n"]
-
-
-def _light(code: Code) -> _Light:
-    level = np.zeros((len(code.frames), max(code.width_px, code.height_px)), dtype=np.float32)
-    of_axis = np.full(len(code.frames), 2)
-    for k, frame in enumerate(code.frames):
-        share = code.share(frame)
-        level[k, : len(share)], level[k, len(share) :] = share, share[-1]
-        if frame.axis is not None:
-            of_axis[k] = AXES.index(frame.axis)
-    return _Light(level, of_axis)
 
 
 def _periods(code: Code, axis: Axis) -> dict[float, list[int]]:
@@ -168,54 +121,10 @@ def _steps(code: Code) -> _Steps:
 @kernel()
 def _in_row(shift, y, height):
     """Return the displacements in a row, interpolated between the rows of the grid."""
-    n, depths, grid = shift.shape[:3]
-    at = y * (grid - 1) / max(height - 1, 1)
-    low = min(int(at), grid - 2)
-    t = np.float32(at - low)
-    out = np.empty((n, depths, grid, 4), dtype=np.float32)
-    for k in range(n):
-        for d in range(depths):
-            for g in range(grid):
-                for c in range(4):
-                    first, second = shift[k, d, low, g, c], shift[k, d, low + 1, g, c]
-                    out[k, d, g, c] = first + t * (second - first)
-    return out
-
-
-@kernel()
-def _at_nearness(row, near):
-    """Return the displacements of a row's grid at a nearness: (n, grid, 4)."""
-    at = near * np.float32(row.shape[1] - 1)
-    low = min(int(at), row.shape[1] - 2)
-    return row[:, low] + (at - np.float32(low)) * (row[:, low + 1] - row[:, low])
-
-
-@kernel()
-def _between(values, low, t, c):
-    """Return one displacement between two columns of the grid."""
-    return values[low, c] + t * (values[low + 1, c] - values[low, c])
-
-
-@kernel()
-def _value(picture, x, y):
-    """Return a picture's value between its pixels; -1 outside the picture."""
-    h, w = picture.shape
-    if x < 0 or y < 0 or x > w - 1 or y > h - 1:
-        return np.float32(-1)
-    x0, y0 = min(int(x), w - 2), min(int(y), h - 2)
-    fx, fy = x - np.float32(x0), y - np.float32(y0)
-    top, bottom = np.float32(picture[y0, x0]), np.float32(picture[y0 + 1, x0])
-    top += fx * (np.float32(picture[y0, x0 + 1]) - top)
-    bottom += fx * (np.float32(picture[y0 + 1, x0 + 1]) - bottom)
-    return top + fy * (bottom - top)
-
-
-@kernel()
-def _share(level, u):
-    """Return the share of white at a place between projector pixels."""
-    u = min(max(u, np.float32(0)), np.float32(len(level) - 1))
-    low = min(int(u), len(level) - 2)
-    return level[low] + (u - np.float32(low)) * (level[low + 1] - level[low])
+    at = np.float32(y * (shift.shape[-3] - 1) / max(height - 1, 1))
+    low = min(int(at), shift.shape[-3] - 2)
+    first, second = shift[..., low, :, :], shift[..., low + 1, :, :]
+    return first + (at - np.float32(low)) * (second - first)
 
 
 @kernel(parallel=True, error_model="numpy")
@@ -224,7 +133,7 @@ def _correlate(stack, shift, near, place, light, score, best):
     n, h, w = stack.shape
     per_px = np.float32((shift.shape[2] - 1) / max(w - 1, 1))
     for y in numba.prange(h):
-        moved = _at_nearness(_in_row(shift, y, h), near)
+        moved = _in_row(shift, y, h)
         sums = np.zeros((5, w), dtype=np.float32)
         inside = np.ones(w, dtype=np.bool_)
         for k in range(n):
@@ -233,16 +142,16 @@ def _correlate(stack, shift, near, place, light, score, best):
                 at = np.float32(x) * per_px
                 low = min(int(at), shift.shape[2] - 2)
                 t = at - np.float32(low)
-                value = _value(
+                value = value_at(
                     picture,
-                    np.float32(x) + _between(own, low, t, 0),
-                    np.float32(y) + _between(own, low, t, 1),
+                    np.float32(x) + between(own, low, t, 0),
+                    np.float32(y) + between(own, low, t, 1),
                 )
                 inside[x] &= value >= 0
                 u = np.float32(0)
                 if axis < 2:
-                    u = place[axis, y, x] + _between(own, low, t, 2 + axis)
-                share = _share(level, u)
+                    u = place[axis, y, x] + between(own, low, t, 2 + axis)
+                share = share_at(level, u)
                 sums[0, x] += value
                 sums[1, x] += value * value
                 sums[2, x] += share
@@ -299,15 +208,15 @@ def _give_back(stack, shift, near, place, light, steps, saturation_dn, result):
             at = np.float32(x) * per_px
             low = min(int(at), shift.shape[2] - 2)
             t = at - np.float32(low)
-            grid = _at_nearness(row, near[y, x])
+            grid = at_nearness(row, near[y, x])
             for k in range(n):
-                values[k] = _value(
+                values[k] = value_at(
                     stack[k],
-                    np.float32(x) + _between(grid[k], low, t, 0),
-                    np.float32(y) + _between(grid[k], low, t, 1),
+                    np.float32(x) + between(grid[k], low, t, 0),
+                    np.float32(y) + between(grid[k], low, t, 1),
                 )
                 for axis in range(2):
-                    moved[axis, k] = _between(grid[k], low, t, 2 + axis)
+                    moved[axis, k] = between(grid[k], low, t, 2 + axis)
             for k in range(n):
                 now[k] = then[k] = light.share[k, 0]
             for axis in range(2):
@@ -315,8 +224,8 @@ def _give_back(stack, shift, near, place, light, steps, saturation_dn, result):
                 u = _phase_place(values, moved[axis], coarse, finest, steps.delta[axis])
                 for k in range(n):
                     if light.axis[k] == axis:
-                        now[k] = _share(light.share[k], np.float32(u))
-                        then[k] = _share(light.share[k], np.float32(u + moved[axis, k]))
+                        now[k] = share_at(light.share[k], np.float32(u))
+                        then[k] = share_at(light.share[k], np.float32(u + moved[axis, k]))
             for g in range(steps.group.max() + 1):
                 own = (steps.group == g) | (g == 0)
                 off = (then - then[own].mean()) * own

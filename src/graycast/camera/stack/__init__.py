@@ -15,6 +15,7 @@ computed         warns of inverses that were computed and not taken
 idle_settings    notes settings that have no effect on the stack
 rig_fit          warns of a rig that does not fit the stack
 diagnosis        all warnings of a stack, with a measure for each fault
+steady           takes the steady motion of a scene back, if asked for
 believed_depth   depth without points off their epipolar line, and with filters on request
 averaging        one point for all camera pixels that see the same projector pixel
 decoding         the whole processing of a stack

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Num, UInt8
+from jaxtyping import Num, UInt8
 
 from ...base import array_types as arrays
 from ...base.errors import DecodeError
@@ -38,12 +38,11 @@ from .description import StackDescription, code_of, read_description
 from .diagnosis import diagnose
 from .idle_settings import idle_settings
 from .levels import MeasuredLevels, measure_levels
-from .rig_fit import better_reading, doubts
+from .rig_fit import better_reading, doubts, size_symptom, symptoms
 from .stack_figures import StackFigures, figures_of
 from .stack_pictures import StackPictures, read_color, read_pictures
+from .steady import Motion, describe_steady, taken_back
 
-MISPLACED_PX = 3.0  # A larger median epipolar residual means that the rig does not fit the stack.
-OUT_OF_RANGE = 0.3  # The rig is doubtful if a larger share of the decoded pixels is out of range.
 DECODED_AT_LEAST = 0.01  # A stack is refused unless a larger share of its lit pixels is decoded.
 
 
@@ -76,7 +75,8 @@ class StackResult:
 
     `light` is direct and global light [DN above offset], or None if the code cannot separate them.
     `p_wrong` is the probability that a depth, or without a rig a position, is wrong; it is NaN
-    without depth or position, and None if `max_p_wrong` is 1.
+    without depth or position, and None if `max_p_wrong` is 1. `motion_m` is the motion of the scene
+    from picture to picture in the coordinates of the camera, if the pictures were taken back.
     """
 
     code: Code
@@ -91,6 +91,7 @@ class StackResult:
     p_wrong: arrays.FloatArray_h_w | None = None
     cloud: Cloud | None = None
     light: tuple[arrays.FloatArray_h_w, arrays.FloatArray_h_w] | None = None
+    motion_m: Motion | None = None
 
 
 def decode_stack(
@@ -99,12 +100,15 @@ def decode_stack(
     *,
     average: bool = False,
     filters: FilterSpec | None = None,
+    motion_m: Motion | None = None,
 ) -> StackResult:
     """Decode the stack that a YAML file describes.
 
     With a rig, depth is computed from the coded axis along the baseline, and the other axis serves
     as a check. `average` joins the camera pixels of each projector pixel into one point of the
     cloud, and leaves the depth map unchanged. `filters` apply to depth, but not to averaged clouds.
+    If a scene moves steadily, `motion_m` is its assumed motion from picture to picture along the
+    axes of the camera. It is estimated (see `steady_motion`) and taken back before decoding.
 
     Raises:
         ConfigError: the stack file has a wrong value.
@@ -116,15 +120,12 @@ def decode_stack(
     spec, stated_px = description.decode_spec()
     code = code_of(description, path)
     _check_axes(code, spec, rig, average, path)
-    pictures = _pictures(description, rig, path)
-    clock.lap("read")
-    with _naming(path):
-        levels = measure_levels(pictures.frames, code, description.levels)
-    clock.lap("levels")
+    _check_motion(motion_m, rig, path)
+    pictures, levels, motion_m = _read(description, code, rig, motion_m, path, clock)
     codes = with_ripple(decode(pictures.frames, code, spec, levels.levels), code)
     clock.lap("decode")
     diagnosis = diagnose(pictures, code, codes, spec, levels.levels, known=description.levels)
-    warnings = [*diagnosis.warnings]
+    warnings = [*diagnosis.warnings, *(size_symptom(code, rig) if rig else [])]
     _check_light(pictures, codes, warnings, path)
     picture = _picture(pictures, code)
     clock.lap("diagnosis")
@@ -135,7 +136,6 @@ def decode_stack(
         positions, p_wrong = without_doubtful_positions(codes, *evidence, max_p_wrong=limit)
     else:
         _refuse_turned(codes, rig, path)
-        warnings += _rig_size(code, rig)
         first = triangulate(codes, rig)
         if len(code.axes) == 2:
             residual_px = epipolar_residual_px(codes, first, rig)
@@ -145,18 +145,18 @@ def decode_stack(
         depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
         p_wrong = depth.p_wrong
         if not diagnosis.explained:
-            warnings += _rig_symptoms(codes, rig, first, residual_px)
+            warnings += symptoms(codes, rig, first, residual_px)
             notes += doubts(codes, rig)
         clock.lap("triangulate")
+        cloud = _pixel_cloud(depth, rig, picture)
         if average:
             joined = _positions_with_depth(by_noise, first, sure)
             cloud = _joined_cloud(joined, code, rig, picture, spec.fine_bits, limit_px)
-        else:
-            cloud = _pixel_cloud(depth, rig, picture)
         clock.lap("cloud")
     reason = positions.reason if depth is None else depth.reason
     figures = figures_of(pictures.frames, code, by_noise, residual_px, reason)
     notes += idle_settings(spec, stated_px, code, rig)
+    notes += describe_steady(pictures, motion_m)
     light = _light(pictures, code, levels.levels)
     clock.lap("figures")
     return StackResult(
@@ -172,13 +172,31 @@ def decode_stack(
         p_wrong=p_wrong,
         cloud=cloud,
         light=light,
+        motion_m=motion_m,
     )
 
 
-def _pictures(description: StackDescription, rig: Rig | None, path: Path) -> StackPictures:
+def _read(
+    description: StackDescription,
+    code: Code,
+    rig: Rig | None,
+    motion_m: Motion | None,
+    path: Path,
+    clock: "_Clock",
+) -> tuple[StackPictures, MeasuredLevels, Motion | None]:
+    """Return the pictures, without the motion that was to be taken back, and their levels."""
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)
-    return pictures
+    clock.lap("read")
+    with _naming(path):
+        levels = measure_levels(pictures.frames, code, description.levels)
+    clock.lap("levels")
+    if motion_m is not None and rig is not None:
+        if pictures.frames.shape[1:] != _camera_shape(rig):
+            raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
+        pictures, motion_m = taken_back(pictures, code, rig, levels.levels, start_m=motion_m)
+        clock.lap("motion")
+    return pictures, levels, motion_m
 
 
 def _light(pictures: StackPictures, code: Code, levels: Levels):
@@ -238,6 +256,11 @@ def _check_axes(code: Code, spec: DecodeSpec, rig: Rig | None, average: bool, pa
             f"{path}: the rig's baseline runs along its {triangulation_axis(rig)}s, and the stack "
             f"codes {code.axes[0]}s only: add those frames, or decode without a rig"
         )
+
+
+def _check_motion(motion_m: Motion | None, rig: Rig | None, path: Path) -> None:
+    if motion_m is not None and rig is None:
+        raise DecodeError(f"{path}: motion is taken back by the depths of a rig: give --rig")
 
 
 def _check_camera(pictures: StackPictures, rig: Rig | None, path: Path) -> None:
@@ -318,43 +341,6 @@ def _eight_bits(
 
 
 # --- depth -------------------------------------------------------------------------------------
-
-
-def _rig_size(code: Code, rig: Rig) -> list[str]:
-    size = (rig.projector.width_px, rig.projector.height_px)
-    if size == (code.width_px, code.height_px):
-        return []
-    return [
-        f"the stack's projector is {code.width_px} x {code.height_px} px, that of rig {rig.name} "
-        f"{size[0]} x {size[1]}: pixels are matched one to one from the top left, so check that "
-        "both use the same display mode"
-    ]
-
-
-def _rig_symptoms(
-    codes: CodeMap, rig: Rig, depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None
-) -> list[str]:
-    remedy = better_reading(codes, rig)
-    if remedy is not None:
-        return [f"the rig does not fit the stack: {remedy}"]
-    warnings = []
-    away = int((depth.reason == Reason.OUT_OF_RANGE).sum())
-    placed = away + int((depth.reason == Reason.DECODED).sum())
-    if away > OUT_OF_RANGE * max(placed, 1):
-        warnings.append(
-            f"{100 * away / placed:.0f} % of the decoded pixels lie outside the rig's working "
-            "range: check that it is the rig of this stack, and its near_m and far_m"
-        )
-    if residual_px is None or not np.isfinite(residual_px).any():
-        return warnings
-    median_px = float(np.nanmedian(np.abs(residual_px)))
-    if median_px > MISPLACED_PX:
-        warnings.append(
-            f"the epipolar residual's median is {median_px:.3g} px, and less than 1 is usual: the "
-            "calibration may be of another rig, the camera may have moved, offset_px may be "
-            "wrong, or frames may be exchanged"
-        )
-    return warnings
 
 
 def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"]) -> Cloud:

@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float, Int
 from ...base.frames import inverse, transform_points
 from ...rig.optics import project
 from ...rig.pair import Rig
-from ..decode import CodeMap, Reason, meet_planes, triangulation_axis
+from ...rig.pattern import Code
+from ..decode import CodeMap, DepthMap, Reason, meet_planes, triangulation_axis
 
 SAMPLES = 4000
 LEAST = 30  # The fewest samples that suffice to check the rig.
@@ -30,6 +31,8 @@ TIMES = 4.0  # With a change of pictures or rig, this many times as many samples
 # Inverted R and T are certain if the first share of the points is then in range and lit, and less
 # than half of that share with the stated R and T; they are possible with the second share.
 SURELY_LIT, POSSIBLE = 0.9, 0.5
+MISPLACED_PX = 3.0  # A larger median epipolar residual means that the rig does not fit the stack.
+OUT_OF_RANGE = 0.3  # The rig is doubtful if a larger share of the decoded pixels is out of range.
 RIM_PX = 5  # The outermost decoded pixel may be this far inside the outermost lit one.
 
 # Each remedy for the pictures, and the matrix by which it moves a pixel (x, y) about their middle.
@@ -46,6 +49,45 @@ _TURNS = {
     ),
 }
 _AS_IT_IS = ((1, 0), (0, 1))
+
+
+def size_symptom(code: Code, rig: Rig) -> list[str]:
+    """Return a warning if stack and rig have projectors of different sizes."""
+    size = (rig.projector.width_px, rig.projector.height_px)
+    if size == (code.width_px, code.height_px):
+        return []
+    return [
+        f"the stack's projector is {code.width_px} x {code.height_px} px, that of rig {rig.name} "
+        f"{size[0]} x {size[1]}: pixels are matched one to one from the top left, so check that "
+        "both use the same display mode"
+    ]
+
+
+def symptoms(
+    codes: CodeMap, rig: Rig, depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None
+) -> list[str]:
+    """Return warnings about a rig that probably is not the rig of the stack."""
+    remedy = better_reading(codes, rig)
+    if remedy is not None:
+        return [f"the rig does not fit the stack: {remedy}"]
+    warnings = []
+    away = int((depth.reason == Reason.OUT_OF_RANGE).sum())
+    placed = away + int((depth.reason == Reason.DECODED).sum())
+    if away > OUT_OF_RANGE * max(placed, 1):
+        warnings.append(
+            f"{100 * away / placed:.0f} % of the decoded pixels lie outside the rig's working "
+            "range: check that it is the rig of this stack, and its near_m and far_m"
+        )
+    if residual_px is None or not np.isfinite(residual_px).any():
+        return warnings
+    median_px = float(np.nanmedian(np.abs(residual_px)))
+    if median_px > MISPLACED_PX:
+        warnings.append(
+            f"the epipolar residual's median is {median_px:.3g} px, and less than 1 is usual: the "
+            "calibration may be of another rig, the camera may have moved, offset_px may be "
+            "wrong, or frames may be exchanged"
+        )
+    return warnings
 
 
 def better_reading(codes: CodeMap, rig: Rig) -> str | None:

@@ -1,0 +1,45 @@
+"""Take back the steady motion of a scene during a stack."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...rig.pair import Rig
+from ...rig.pattern import Code
+from ..decode import Levels, steady_motion, steady_transforms, take_back
+from .stack_pictures import StackPictures
+
+Motion = tuple[float, float, float]
+
+
+def taken_back(
+    pictures: StackPictures, code: Code, rig: Rig, levels: Levels, *, start_m: Motion
+) -> tuple[StackPictures, Motion]:
+    """Return the pictures of a scene at rest, and its motion from picture to picture [m].
+
+    Args:
+        start_m: the assumed motion, from which the search starts; see `steady_motion`.
+    """
+    time = np.arange(len(code.frames)) - float(_middle(pictures))
+    motion_m = steady_motion(pictures.frames, code, rig, time, start_m=np.array(start_m))
+    T_then_now, top_dn = steady_transforms(motion_m, time), levels.saturation_dn
+    frames = take_back(pictures.frames, code, rig, T_then_now, saturation_dn=top_dn)
+    x_m, y_m, z_m = motion_m.tolist()
+    return replace(pictures, frames=frames), (x_m, y_m, z_m)
+
+
+def describe_steady(pictures: StackPictures, motion_m: Motion | None) -> list[str]:
+    """Return a note about the motion and the picture of the depth, or no note without motion."""
+    if motion_m is None:
+        return []
+    x_mm, y_mm, z_mm = (1e3 * length_m for length_m in motion_m)
+    middle = _middle(pictures)
+    return [
+        f"the scene moves by ({x_mm:.3f}, {y_mm:.3f}, {z_mm:.3f}) mm from picture to picture, "
+        f"along x, y and z of the camera; depth is that of picture {middle + 1} "
+        f"({pictures.files[middle].name})"
+    ]
+
+
+def _middle(pictures: StackPictures) -> int:
+    return len(pictures.files) // 2

@@ -40,8 +40,8 @@ SOURCE = ROOT / "src" / "graycast"
 # positions of stacks without a rig and for checks in several processes. Then came 450 for a scanner
 # that replays bags and for lists of settings; 750 for motion while pictures are taken, half of it
 # in the decoder; and 100 for checks that print each problem at once. Then came 350 for workers of
-# exports, and 450 for parts that move on their own and a steady motion estimated from pictures.
-MOST_LINES = 84_950
+# exports, and 500 for parts that move on their own and a steady motion estimated from pictures.
+MOST_LINES = 85_000
 # This is the number of words in README.md and in the pages of docs that people write. 44,000 words
 # describe the program without the materials of scans. 1,800 were added for fitting and using a
 # material, tables of materials and classes, a repeated scan of metal, and depth at edges. 3,400

@@ -25,10 +25,11 @@ from .decode import (
     DecodeSpec,
     DepthMap,
     FilterSpec,
+    TakenBack,
     decode,
     filter_depth,
     levels_of,
-    take_back,
+    only_sure,
     triangulate,
     triangulation_axis,
     without_doubt,
@@ -215,23 +216,20 @@ def measure(
     capture: Capture,
     *,
     path_noise: PathNoise | None,
-    T_then_now: arrays.FloatArray_n_4_4 | None = None,
+    back: TakenBack | None = None,
 ) -> tuple[CodeMap, DepthMap]:
     """Decode simulated pictures to positions and depth, with the scanner's filters and faults.
 
-    `sigma.TERMS` lists the terms of the standard deviations. For real pictures, use
-    `stack.decode_stack`.
+    `sigma.TERMS` lists the terms of sigma. For real pictures, use `stack.decode_stack`.
 
     Args:
         path_noise: `path_noise` of the radiance from which the pictures were taken.
-        T_then_now: the known motion of the scene, as in `take_back`; None: it did not move.
+        back: the pictures, taken back by a known motion of the scene; None: it did not move.
     """
     rig, code = scanner.rig, scanner.light_code()
-    if T_then_now is not None:
-        top_dn = levels_of(scanner.sensor).saturation_dn
-        frames = take_back(capture.frames, code, rig, T_then_now, saturation_dn=top_dn)
-        capture = replace(capture, frames=frames)
-    codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
+    if back is not None:
+        capture = replace(capture, frames=back.frames)
+    codes, depth = decode_capture(scanner, capture, path_noise=path_noise, back=back)
     codes, depth = without_doubt(
         codes,
         depth,
@@ -259,17 +257,22 @@ def measure(
 
 
 def decode_capture(
-    scanner: Scanner, capture: Capture, *, path_noise: PathNoise | None
+    scanner: Scanner,
+    capture: Capture,
+    *,
+    path_noise: PathNoise | None,
+    back: TakenBack | None = None,
 ) -> tuple[CodeMap, DepthMap]:
     """Return positions and depth as the code gives them, before any depth is refused or filtered.
 
     Args:
         path_noise: `path_noise` of the radiance from which the pictures were taken.
+        back: says which pixels are sure; None: nothing moved.
     """
     rig, code = scanner.rig, scanner.light_code()
     axis = triangulation_axis(rig)
     codes = decode(capture.frames, code, scanner.decode, levels_of(scanner.sensor))
-    codes = with_ripple(codes, code)
+    codes = with_ripple(only_sure(codes, back), code)
     codes = with_position_term(codes, {axis: line_noise_px(code, axis, rig.line_noise)})
     if path_noise is not None:
         codes = with_position_term(codes, light_path_px(code, path_noise))

@@ -21,8 +21,11 @@ from ..base import array_types as arrays
 from ..base.errors import ConfigError
 from ..base.frames import inverse
 from ..base.progress import UNWATCHED, ProgressMeter
+from ..camera.decode import TakenBack, levels_of, take_back
 from ..camera.exposure import ExposureTimes
 from ..camera.light import SensorLight, camera_light
+from ..camera.scanner import Scanner
+from ..camera.sensor import Capture
 from ..rendering import Quality, Renderer
 from ..world.scene import Layout, Scene, bin_of
 from .motion import MotionSection, Timeline, pose_at, speed_px_s, timeline
@@ -126,8 +129,8 @@ class MovingLight:
         }
         return [SensorLight(*light) for light in zip(stack, background, strict=True)]
 
-    def transforms(self) -> arrays.FloatArray_n_4_4 | None:
-        """Return `T_then_now` of `take_back` for the last scan; None without compensation.
+    def taken_back(self, scanner: Scanner, capture: Capture) -> TakenBack | None:
+        """Return the pictures of the last scan, taken back; None without compensation.
 
         Raises:
             ConfigError: the scan has several exposures.
@@ -141,7 +144,13 @@ class MovingLight:
             )
         T = self._scene.T_world_cam
         poses = [pose_at(T, self._motion, float(t)) for t in self._line.middle_s[0]]
-        return np.stack([inverse(pose) @ T for pose in poses])
+        return take_back(
+            capture.frames,
+            scanner.light_code(),
+            scanner.rig,
+            np.stack([inverse(pose) @ T for pose in poses]),
+            saturation_dn=levels_of(scanner.sensor).saturation_dn,
+        )
 
     def _light_at(self, time_s: float, frames_now: Int[np.ndarray, " k"]) -> tuple[Any, Any]:
         """Return the light of some patterns, and all other light, as in `camera_light`."""

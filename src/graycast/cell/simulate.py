@@ -277,7 +277,7 @@ def take_image(
             scanner,
             capture,
             path_noise=rendering.radiance.path_noise,
-            T_then_now=None if moving is None else moving.transforms(),
+            back=None if moving is None else moving.taken_back(scanner, capture),
         )
     return SceneImage(
         rendering=rendering,

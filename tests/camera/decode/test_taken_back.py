@@ -6,7 +6,15 @@ from moving_wall import WALL_M, motions, pictures_of_wall, wall_depth, window_ri
 
 from graycast.base.errors import DecodeError
 from graycast.base.frames import transform_points
-from graycast.camera.decode import DecodeSpec, Levels, decode, take_back, triangulate
+from graycast.camera.decode import (
+    DecodeSpec,
+    Levels,
+    Reason,
+    decode,
+    only_sure,
+    take_back,
+    triangulate,
+)
 from graycast.rig.optics import in_picture, points, project
 from graycast.rig.pattern import CodeSpec
 
@@ -23,7 +31,8 @@ def test_pictures_of_a_scene_at_rest_are_not_changed(rig, codec):
     code = CodeSpec(codec=codec).code(rig.projector.width_px, rig.projector.height_px)
     rest = np.repeat(np.eye(4)[None], len(code.frames), axis=0)
     frames = pictures_of_wall(rig, code, rest)
-    assert np.array_equal(take_back(frames, code, rig, rest, saturation_dn=65_000.0), frames)
+    back = take_back(frames, code, rig, rest, saturation_dn=65_000.0)
+    assert np.array_equal(back.frames, frames) and back.sure.all()
 
 
 @pytest.mark.slow
@@ -45,7 +54,7 @@ def test_a_moving_wall_has_the_depth_of_the_reference_time(rig, codec, velocity_
     good = {}
     for name, stack in (
         ("taken", frames),
-        ("back", take_back(frames, code, rig, T, saturation_dn=65_000.0)),
+        ("back", take_back(frames, code, rig, T, saturation_dn=65_000.0).frames),
     ):
         depth = triangulate(decode(stack, code, DecodeSpec(), LEVELS), rig)
         good[name] = (np.abs(depth.depth_m - truth_m) < 5e-4)[in_all].mean()
@@ -67,9 +76,27 @@ def test_bright_pictures_of_a_moving_wall_stay_in_the_range_of_eight_bits(rig):
     code = CodeSpec(codec="gray_phase").code(rig.projector.width_px, rig.projector.height_px)
     T = motions(len(code.frames), (0.001, 0.0, 0.0), 0.0)
     frames = np.minimum(pictures_of_wall(rig, code, T) // 100, 255).astype(np.uint8)
-    back = take_back(frames, code, rig, T, saturation_dn=255.0)
+    back = take_back(frames, code, rig, T, saturation_dn=255.0).frames
     white, black = (back[[f.kind for f in code.frames].index(kind)] for kind in ("white", "black"))
     lit = white > 0  # The points of the other pixels leave the picture.
     assert lit.mean() > 0.3
     assert (white[lit] == 255).all() and (black[lit] < 60).all()
     assert (back.max(axis=0)[lit] == 255).all()
+
+
+@pytest.mark.slow
+def test_points_that_are_hidden_in_some_pictures_are_not_sure(rig):
+    """A black patch that stays in the camera's picture covers the moving wall in some pictures."""
+    code = CodeSpec(codec="gray_phase").code(rig.projector.width_px, rig.projector.height_px)
+    T = motions(len(code.frames), (0.001, 0.0, 0.0), 0.0)
+    frames = pictures_of_wall(rig, code, T)
+    frames[::3, 20:40, 50:70] = 2_000
+    back = take_back(frames, code, rig, T, saturation_dn=65_000.0)
+    inside, outside = np.s_[25:35, 55:65], np.s_[:15, 45:75]
+    assert back.sure[outside].mean() > 0.95 and back.sure[inside].mean() < 0.05
+    codes = decode(back.frames, code, DecodeSpec(), LEVELS)
+    sure = only_sure(codes, back)
+    assert np.isnan(sure.column[inside]).mean() > 0.95
+    assert np.array_equal(sure.column[outside], codes.column[outside], equal_nan=True)
+    lost = np.isfinite(codes.column) & np.isnan(sure.column)
+    assert (sure.reason[lost] == Reason.CONTRADICTORY).all()

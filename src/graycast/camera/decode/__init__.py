@@ -44,7 +44,7 @@ from .reasons import (
     reason_shares,
 )
 from .separation import separate
-from .taken_back import take_back
+from .taken_back import TakenBack, only_sure, take_back
 from .triangulation import (
     epipolar_residual_px,
     meet_planes,
@@ -65,6 +65,7 @@ __all__ = [
     "Levels",
     "Mark",
     "Reason",
+    "TakenBack",
     "decode",
     "epipolar_residual_px",
     "filter_depth",
@@ -72,6 +73,7 @@ __all__ = [
     "little_depth_note",
     "meet_planes",
     "off_the_line",
+    "only_sure",
     "pooled_shares",
     "reason_counts",
     "reason_shares",

@@ -8,13 +8,15 @@ difference between the light at the reference time and the light that the point 
 the result is a stack of a scene at rest, with the deviations of the real pictures from the pattern.
 Any decoder can read it, and still finds what contradicts.
 
-Leaves out: points that another surface hides in some of the pictures, and surfaces that are bright
-only from some directions; their pictures contradict.
+If another surface hides a point in some of the pictures, or it is bright only from some directions,
+its pictures fit no depth well. Such pixels are not sure.
 """
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numba
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,6 +27,7 @@ from ...base.kernels import kernel
 from ...rig.optics import picture_rays
 from ...rig.pair import Rig
 from ...rig.pattern import AXES, Axis, Code
+from .maps import CodeMap
 from .moving_points import (
     at_nearness,
     between,
@@ -35,8 +38,26 @@ from .moving_points import (
     share_at,
     value_at,
 )
+from .reasons import Reason
 
 STEP_PX = 2.0  # Motion of the projector's place between two depths that are tried
+SURE = 0.95  # Least correlation of a sure pixel, if its point moves in the picture
+MOVES_PX = 0.5  # by at least this distance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TakenBack:
+    """The pictures of a scene at rest, and the pixels whose pictures fit them."""
+
+    frames: arrays.UInt8or16Array_n_h_w
+    sure: arrays.BoolArray_h_w
+
+
+def only_sure(codes: CodeMap, back: TakenBack | None) -> CodeMap:
+    """Return positions without those that are not sure; all of them if nothing was taken back."""
+    if back is None:
+        return codes
+    return codes.without(~back.sure & (codes.reason == Reason.DECODED), Reason.CONTRADICTORY)
 
 
 def take_back(
@@ -46,7 +67,7 @@ def take_back(
     T_then_now: arrays.FloatArray_n_4_4,
     *,
     saturation_dn: float,
-) -> arrays.UInt8or16Array_n_h_w:
+) -> TakenBack:
     """Return the pictures that a scene at rest would have given at the reference time.
 
     A pixel whose point is outside one of the pictures at every depth is 0 in all of them.
@@ -77,7 +98,9 @@ def take_back(
     result = np.zeros_like(stack)
     place = places(rig, ray, best)
     _give_back(stack, shift, best, place, light, steps, saturation_dn, result)
-    return result
+    moved_px = np.linalg.norm(shift[..., :2], axis=-1).max(axis=(0, 1))
+    moves = cv2.resize(moved_px, best.shape[::-1], interpolation=cv2.INTER_LINEAR) > MOVES_PX
+    return TakenBack(frames=result, sure=~moves | (score >= SURE))
 
 
 class _Steps(NamedTuple):

@@ -22,8 +22,10 @@ from ..decode import (
     FilterSpec,
     Levels,
     Reason,
+    TakenBack,
     decode,
     epipolar_residual_px,
+    only_sure,
     separate,
     triangulate,
     triangulation_axis,
@@ -121,8 +123,8 @@ def decode_stack(
     code = code_of(description, path)
     _check_axes(code, spec, rig, average, path)
     _check_motion(motion_m, rig, path)
-    pictures, levels, motion_m = _read(description, code, rig, motion_m, path, clock)
-    codes = with_ripple(decode(pictures.frames, code, spec, levels.levels), code)
+    pictures, levels, back, motion_m = _read(description, code, rig, motion_m, path, clock)
+    codes = with_ripple(only_sure(decode(pictures.frames, code, spec, levels.levels), back), code)
     clock.lap("decode")
     diagnosis = diagnose(pictures, code, codes, spec, levels.levels, known=description.levels)
     warnings = [*diagnosis.warnings, *(size_symptom(code, rig) if rig else [])]
@@ -183,7 +185,7 @@ def _read(
     motion_m: Motion | None,
     path: Path,
     clock: "_Clock",
-) -> tuple[StackPictures, MeasuredLevels, Motion | None]:
+) -> tuple[StackPictures, MeasuredLevels, TakenBack | None, Motion | None]:
     """Return the pictures, without the motion that was to be taken back, and their levels."""
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)
@@ -191,12 +193,13 @@ def _read(
     with _naming(path):
         levels = measure_levels(pictures.frames, code, description.levels)
     clock.lap("levels")
+    back = None
     if motion_m is not None and rig is not None:
         if pictures.frames.shape[1:] != _camera_shape(rig):
             raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
-        pictures, motion_m = taken_back(pictures, code, rig, levels.levels, start_m=motion_m)
+        pictures, back, motion_m = taken_back(pictures, code, rig, levels.levels, start_m=motion_m)
         clock.lap("motion")
-    return pictures, levels, motion_m
+    return pictures, levels, back, motion_m
 
 
 def _light(pictures: StackPictures, code: Code, levels: Levels):

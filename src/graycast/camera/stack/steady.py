@@ -6,7 +6,7 @@ import numpy as np
 
 from ...rig.pair import Rig
 from ...rig.pattern import Code
-from ..decode import Levels, steady_motion, steady_transforms, take_back
+from ..decode import Levels, TakenBack, steady_motion, steady_transforms, take_back
 from .stack_pictures import StackPictures
 
 Motion = tuple[float, float, float]
@@ -14,7 +14,7 @@ Motion = tuple[float, float, float]
 
 def taken_back(
     pictures: StackPictures, code: Code, rig: Rig, levels: Levels, *, start_m: Motion
-) -> tuple[StackPictures, Motion]:
+) -> tuple[StackPictures, TakenBack, Motion]:
     """Return the pictures of a scene at rest, and its motion from picture to picture [m].
 
     Args:
@@ -23,9 +23,9 @@ def taken_back(
     time = np.arange(len(code.frames)) - float(_middle(pictures))
     motion_m = steady_motion(pictures.frames, code, rig, time, start_m=np.array(start_m))
     T_then_now, top_dn = steady_transforms(motion_m, time), levels.saturation_dn
-    frames = take_back(pictures.frames, code, rig, T_then_now, saturation_dn=top_dn)
+    back = take_back(pictures.frames, code, rig, T_then_now, saturation_dn=top_dn)
     x_m, y_m, z_m = motion_m.tolist()
-    return replace(pictures, frames=frames), (x_m, y_m, z_m)
+    return replace(pictures, frames=back.frames), back, (x_m, y_m, z_m)
 
 
 def describe_steady(pictures: StackPictures, motion_m: Motion | None) -> list[str]:

@@ -73,7 +73,7 @@ def steady_motion(
     if not len(frames) == len(code.frames) == len(time) or np.ptp(time) == 0:
         raise DecodeError(
             f"there are {len(frames)} frames and {len(time)} times, and the code has "
-            f"{len(code.frames)} frames: give one frame and one time for each"
+            f"{len(code.frames)} frames: give one frame for each, with different times"
         )
     likelihood = _Likelihood(frames, code, rig)
     unit_m = _pixel_m(rig) / np.ptp(time)  # A motion by one pixel over the whole stack

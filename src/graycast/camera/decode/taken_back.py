@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from ...base import array_types as arrays
 from ...base.errors import DecodeError
 from ...base.kernels import kernel
+from ...base.public_value import public_value
 from ...rig.optics import picture_rays
 from ...rig.pair import Rig
 from ...rig.pattern import AXES, Axis, Code
@@ -45,6 +46,7 @@ SURE = 0.95  # Least correlation of a sure pixel, if its point moves in the pict
 MOVES_PX = 0.5  # by at least this distance
 
 
+@public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TakenBack:
     """The pictures of a scene at rest, and the pixels whose pictures fit them."""

@@ -573,11 +573,13 @@ def test_rig_list_filters_by_field_distance_and_noise(capsys):
         ("rig import", "--far", "900.5", "give 0.9005"),
         ("real fit-bin", "--wall", "3", "give 0.003"),
         ("real fit-bin", "--inner", "600,400,200", "give 0.6,0.4,0.2"),
+        ("rig decode", "--motion", "1,0,0.2", "give 0.001,0,0.0002"),
+        ("rig decode", "--motion", "-1,0,0", "give -0.001,0,0"),
     ],
 )
 def test_a_length_given_in_millimetres_is_detected(command, option, value, remedy, capsys):
     with pytest.raises(SystemExit) as ending:
-        main([*command.split(), option, value])
+        main([*command.split(), f"{option}={value}"])
     message = capsys.readouterr().err
     assert ending.value.code != 0
     assert f"{option}: {value!r} is longer than" in message and message.strip().endswith(remedy)

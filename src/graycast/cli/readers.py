@@ -65,7 +65,7 @@ def metres(
     def checked(text: str) -> Any:
         value = read(text)
         lengths_m = value if isinstance(value, tuple) else (value,)
-        if max(lengths_m) > most_m:
+        if max(map(abs, lengths_m)) > most_m:
             shorter = separator.join(f"{1e-3 * length_m:g}" for length_m in lengths_m)
             raise argparse.ArgumentTypeError(
                 f"{text!r} is longer than {most_m:g} m: give metres; if these are millimetres, "

@@ -74,6 +74,15 @@ def test_frames_of_one_time_are_refused(rig):
         steady_motion(frames, code, rig, np.zeros(len(frames)), start_m=np.zeros(3))
 
 
+@pytest.mark.slow
+def test_a_motion_that_leaves_the_picture_is_refused(rig):
+    code = code_of(rig)
+    count = len(code.frames)
+    frames = pictures_of_wall(rig, code, motions(count, np.zeros(3), 0.0), spots)
+    with pytest.raises(DecodeError, match="smaller motion"):
+        steady_motion(frames, code, rig, np.arange(float(count)), start_m=np.array([0.1, 0, 0]))
+
+
 def test_the_motion_is_proportional_to_time():
     T = steady_transforms(STEP_M, np.array([-1.0, 0.0, 2.0]))
     assert np.array_equal(T[1], np.eye(4))

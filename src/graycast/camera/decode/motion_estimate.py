@@ -8,8 +8,8 @@ the search needs a start that is near enough.
 Leaves out: motions that turn; pauses between pictures; parts that move on their own.
 """
 
-import itertools
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import cv2
@@ -68,7 +68,8 @@ def steady_motion(
             then, the result can be 0 if large surfaces move within their own plane.
 
     Raises:
-        DecodeError: the numbers of frames and times differ, or no time passes.
+        DecodeError: the numbers of frames and times differ, or no time passes; no point stays in
+            the camera's picture.
     """
     if not len(frames) == len(code.frames) == len(time) or np.ptp(time) == 0:
         raise DecodeError(
@@ -92,6 +93,11 @@ def steady_motion(
         result = minimize(misfit, first_px, method="COBYQA", options=options)
         if result.fun < least and np.linalg.norm(result.x - start_px) <= far_px:
             best_px, least = result.x, result.fun
+    if least == 0:
+        raise DecodeError(
+            "with the assumed motion, no point stays in the camera's picture during all frames: "
+            "give a smaller motion, in metres"
+        )
     return best_px * unit_m
 
 
@@ -151,8 +157,8 @@ def _pixels(frames: Float32[np.ndarray, "n h w"], rig: Rig) -> _Pixels:
     steepness = np.hypot(*(cv2.Sobel(mean, cv2.CV_32F, *order) for order in ((1, 0), (0, 1))))
     y_ends, x_ends = (np.arange(TILES + 1) * size // TILES for size in mean.shape)
     pixel = []
-    for top, bottom in itertools.pairwise(y_ends):
-        for left, right in itertools.pairwise(x_ends):
+    for top, bottom in pairwise(y_ends):
+        for left, right in pairwise(x_ends):
             tile = steepness[top:bottom, left:right]
             dy, dx = np.unravel_index(tile.argmax(), tile.shape)
             pixel += [((top + bottom) // 2, (left + right) // 2), (top + dy, left + dx)]

@@ -78,9 +78,13 @@ def test_other_parts_stay_and_the_poses_of_the_ground_truth_are_those_at_time_0(
     assert layout_at(layout, MotionSection(), 0.7) is layout
 
 
-def test_a_part_that_is_not_in_the_scene_is_refused():
+def test_a_part_that_is_not_in_the_scene_is_refused(stage):
+    scene, layout = stage
+    motion = MotionSection(parts=[{"part": 1}])
     with pytest.raises(ConfigError, match="the scene has 1 parts"):
-        layout_at(layout_of(POSE), MotionSection(parts=[{"part": 1}]), 0.1)
+        layout_at(layout, motion, 0.1)
+    with pytest.raises(ConfigError, match="the scene has 1 parts"):
+        parts_speed_px_s(scene, layout, motion, start_s=-0.1, end_s=0.1)
 
 
 def test_flow_leads_to_the_pixel_that_sees_the_point_at_the_other_time(stage):

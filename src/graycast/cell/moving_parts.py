@@ -51,20 +51,25 @@ def parts_speed_px_s(
     """Return the greatest speed of moving parts in the pictures of camera and projector [px/s].
 
     It is that of the corners of their bounding boxes, between 33 times from start to end.
+
+    Raises:
+        ConfigError: there is no part with this number; the path does not include a time.
     """
+    if end_s <= start_s:
+        return 0.0
     times_s = np.linspace(start_s, end_s, 33)
+    later = [layout_at(layout, motion, time_s) for time_s in times_s.tolist()]
+    cameras = [pose_at(scene.T_world_cam, motion, time_s) for time_s in times_s.tolist()]
     fastest = 0.0
-    for own in motion.parts if end_s > start_s else ():
-        part = scene.parts[layout.part_index[own.part]]
-        low, high = part.mesh.bounds_m
+    for own in motion.parts:
+        low, high = scene.parts[layout.part_index[own.part]].mesh.bounds_m
         corner_m = np.array(np.meshgrid(*np.stack([low, high], axis=-1))).reshape(3, -1).T
-        place_px = []
-        for time_s in times_s.tolist():
-            T_world_part = layout_at(layout, motion, time_s).T_world_part[own.part]
-            T_cam_world = inverse(pose_at(scene.T_world_cam, motion, time_s))
-            place_px.append(
-                _places(scene.rig, transform_points(T_cam_world @ T_world_part, corner_m))
+        place_px = [
+            _places(
+                scene.rig, transform_points(inverse(T) @ moved.T_world_part[own.part], corner_m)
             )
+            for T, moved in zip(cameras, later, strict=True)
+        ]
         moved_px = np.linalg.norm(np.diff(np.array(place_px), axis=0), axis=-1)
         fastest = max(fastest, float(np.nanmax(moved_px, initial=0.0)) / (times_s[1] - times_s[0]))
     return fastest

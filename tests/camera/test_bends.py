@@ -1,5 +1,7 @@
 """Sigma where a surface bends: closed forms of a plane, of folds and of steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from stage import centred
@@ -65,6 +67,20 @@ def test_errors_at_pixels_that_a_step_crosses_agree_with_sigma():
     assert 0.8 <= np.sqrt(np.mean(off**2)) <= 1.6
     assert (np.abs(off) > 5).mean() == 0
     assert (np.abs(scan.depth_m[:, 4] - true_m) > 5 * SIGMA_M).mean() > 0.5  # without the term
+
+
+@pytest.mark.parametrize("turn", [False, True])
+@pytest.mark.parametrize(("slope_deg", "bends"), [(73.0, True), (77.0, False)])
+def test_a_step_steeper_than_75_degrees_is_no_bend(turn, slope_deg, bends):
+    """Two surfaces are one beside the other there, and each keeps the sigma of its noise."""
+    camera = replace(centred(40, 30, 400.0), fx_px=200.0)  # A pixel is twice as wide as high.
+    pixel_m = 1 / (camera.fy_px if turn else camera.fx_px)
+    x, y = grid()
+    depth_m = 1.0 + np.tan(np.radians(slope_deg)) * pixel_m * ((y if turn else x) > 15)
+    step = replace(map_of(1 / depth_m), camera=camera)
+    changed = bend_m(step) > 0
+    beside = np.isin(y if turn else x, (14, 15, 16, 17))
+    np.testing.assert_array_equal(changed, beside if bends else np.zeros_like(beside))
 
 
 def test_sigma_is_unchanged_next_to_a_hole_and_at_the_picture_s_border():

@@ -86,7 +86,7 @@ TERMS = (
     Term(
         name="light paths",
         of="position",
-        law="sqrt(place^2 + P^2/(8 pi^2) stray^2)",
+        law="sqrt(place^2 + P^2/(8 pi^2) min(stray, 1)^2)",
         source="sigma.light_path_px",
         zero="in real pictures, and with path_noise None",
     ),
@@ -116,7 +116,7 @@ TERMS = (
         of="depth",
         law="z^2/4 sqrt(k^2 - 4 sigma_k^2)",
         source="sigma.bend_m",
-        zero="on planes and beside gaps",
+        zero="on planes, beside gaps and at steps",
     ),
 )
 
@@ -128,6 +128,8 @@ BEND_SIGMAS = 2.0  # A bend of less than this many standard deviations may be no
 # largest bend at the pixel or its neighbours is 0.75 of the step. A fold makes an error of at most
 # 1/8 of the bend. This share is between the two; see docs/measurements/materials.md.
 BEND_SHARE = 0.25
+# Between points whose slope is steeper, two surfaces meet: a pixel is on one of them, or is wrong.
+BEND_STEEPEST_DEG = 75.0
 STEP_RATIO = 4.0  # A change of position this many times that on a facing surface is a step.
 
 
@@ -199,15 +201,16 @@ def light_path_px(code: Code, noise: PathNoise) -> dict[Axis, Float[np.ndarray, 
     """Return the standard deviation of positions from the noise of rendered light [projector px].
 
     A phase has the error of the mean position of the direct light. A share s of stray light turns a
-    phase by up to s at random, which is `s / sqrt(2) * period / (2 pi)` as a position. Stray light
-    from near positions affects all periods equally, but that from distant ones does not: half of
-    the variance is taken as common, and half as independent and reduced by averaging. The sigma of
-    a Gray code already contains the width of a cell, so the width is subtracted here.
+    phase by up to s at random, which is `s / sqrt(2) * period / (2 pi)` as a position. A share
+    above 1 counts as 1, because such a position is wrong rather than uncertain. Stray light from
+    near positions affects all periods equally, but that from distant ones does not: half of the
+    variance is taken as common, and half as independent and reduced by averaging. The sigma of a
+    Gray code already contains the width of a cell, so the width is subtracted here.
     """
     sigma_px = {}
     for axis, plan in plan_axes(code, fine_bits=0).items():
         i = AXES.index(axis)
-        place_px, stray = noise.place_sigma_px[i], noise.stray[i]
+        place_px, stray = noise.place_sigma_px[i], np.minimum(noise.stray[i], 1)
         if plan.periods:
             lengths_px = [period.period_px for period in plan.periods if period.full]
             weight = sum(1 / length_px**2 for length_px in lengths_px)
@@ -281,30 +284,49 @@ def bend_m(depth: DepthMap) -> Float[np.ndarray, "h w"]:
     A pixel sees an area. If a fold or small step crosses this area, the measured depth differs from
     the depth at its centre. A bend is the second difference of inverse depth along a row or column,
     which is 0 on a plane. The largest bend of the pixel and its neighbours counts, less the noise.
-    Next to a pixel without depth the bend is unknown and adds nothing.
+    Next to a pixel without depth the bend is unknown and adds nothing. A slope of more than
+    `BEND_STEEPEST_DEG` is a step between two surfaces, which is no bend either.
     """
     inverse = 1 / depth.depth_m
     noise2 = np.square(depth.sigma_m * np.square(inverse))
+    # Between pixels at the slope t, inverse depth changes by t / (f z).
+    steepest = math.tan(math.radians(BEND_STEEPEST_DEG))
+    focal_px = np.array([depth.camera.fy_px, depth.camera.fx_px], dtype=np.float32)
+    rises = np.float32(steepest) / focal_px
     bend2 = np.zeros((2, *inverse.shape), dtype=np.float32)
-    _find_bends(inverse, noise2, BEND_SIGMAS**2, bend2)
+    _find_bends(inverse, noise2, np.float32(BEND_SIGMAS**2), rises, bend2)
     sigma_m = np.zeros_like(depth.depth_m)
     _share_of_bends(bend2, depth.depth_m, BEND_SHARE, sigma_m)
     return sigma_m
 
 
 @kernel(parallel=True)
-def _find_bends(inverse, noise2, sigmas2, bend2):
-    """Write the squared bend along the row and the column at each pixel, minus the noise."""
+def _find_bends(inverse, noise2, sigmas2, rises, bend2):
+    """Write the squared bend along the column and the row at each pixel, minus the noise.
+
+    Args:
+        rises: the largest changes of inverse depth to the next pixel below and to the right, as
+            shares of inverse depth.
+    """
     h, w = inverse.shape
     for y in numba.prange(h):
-        for axis, down, right in ((0, 0, 1), (1, 1, 0)):
+        for axis, down, right in ((0, 1, 0), (1, 0, 1)):
             if down <= y < h - down:
                 for x in range(right, w - right):
-                    before, after = (y - down, x - right), (y + down, x + right)
-                    bend = inverse[before] + inverse[after] - 2 * inverse[y, x]
-                    noise = noise2[before] + noise2[after] + 4 * noise2[y, x]
-                    beyond = bend * bend - sigmas2 * noise
-                    bend2[axis, y, x] = beyond if beyond > 0 else 0  # 0 for NaN
+                    own, own2 = inverse[y, x], noise2[y, x]
+                    before, after = inverse[y - down, x - right], inverse[y + down, x + right]
+                    before2, after2 = noise2[y - down, x - right], noise2[y + down, x + right]
+                    bend = before + after - 2 * own
+                    beyond = bend * bend - sigmas2 * (before2 + after2 + 4 * own2)
+                    if not beyond > 0:  # True for NaN
+                        continue
+                    rise = rises[axis] * own
+                    first, second = abs(before - own) - rise, abs(after - own) - rise
+                    if (first > 0 and first * first > sigmas2 * (before2 + own2)) or (
+                        second > 0 and second * second > sigmas2 * (after2 + own2)
+                    ):
+                        continue
+                    bend2[axis, y, x] = beyond
 
 
 @kernel(parallel=True)
@@ -314,7 +336,7 @@ def _share_of_bends(bend2, depth, share, sigma):
         above, below = max(y - 1, 0), min(y + 1, h - 1)
         for x in range(w):
             left, right = max(x - 1, 0), min(x + 1, w - 1)
-            largest2 = max(bend2[0, y, left], bend2[0, y, x], bend2[0, y, right])
-            largest2 = max(largest2, bend2[1, above, x], bend2[1, y, x], bend2[1, below, x])
+            largest2 = max(bend2[1, y, left], bend2[1, y, x], bend2[1, y, right])
+            largest2 = max(largest2, bend2[0, above, x], bend2[0, y, x], bend2[0, below, x])
             if largest2 > 0:
                 sigma[y, x] = share * math.sqrt(largest2) * depth[y, x] * depth[y, x]

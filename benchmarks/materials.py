@@ -51,7 +51,7 @@ A cell has three figures for the parts' pixels: the share with depth [%]; the sh
 sigma (1 where sigma is true). The number after *metal* is the roughness. The reflectance is 0.7
 for metal and 0.22 for *steel*.
 
-The presets remove depth whose [probability](wrong_depth.md) to be wrong is above 0.02
+The presets remove depth whose [probability](wrong_depth.md) to be wrong is above 0.05
 (`max_p_wrong`), and flying pixels. *Without a limit*, they keep both. `paper` has plain Gray code,
 no limit and no filter. The probabilities were fitted to scenes with other parts.
 

@@ -35,12 +35,12 @@ PARTS = 16
 ERODED_PX = 3  # width of the strip along each part's outline that does not count as "inside"
 # Changes of the preset's filters and decoder.
 CHANGES: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "preset: `max_p_wrong` 0.02, `flying_angle_deg` 75": ({}, {}),
+    "preset: `max_p_wrong` 0.05, `flying_angle_deg` 75": ({}, {}),
     "`max_p_wrong` 1": ({}, {"max_p_wrong": 1.0}),
     "`max_p_wrong` 0.1": ({}, {"max_p_wrong": 0.1}),
-    "`max_p_wrong` 0.05": ({}, {"max_p_wrong": 0.05}),
+    "`max_p_wrong` 0.2": ({}, {"max_p_wrong": 0.2}),
+    "`max_p_wrong` 0.02": ({}, {"max_p_wrong": 0.02}),
     "`max_p_wrong` 0.01": ({}, {"max_p_wrong": 0.01}),
-    "`max_p_wrong` 0.005": ({}, {"max_p_wrong": 0.005}),
     "no `flying_angle_deg`": ({"flying_angle_deg": None}, {}),
     "`flying_angle_deg` 45": ({"flying_angle_deg": 45.0}, {}),
     "`edge_px` 1": ({"edge_px": 1.0}, {}),

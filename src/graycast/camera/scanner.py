@@ -152,8 +152,7 @@ def take(
     if scanner.rig.speckle_contrast:
         speckle = _speckle(scanner, radiance, seed)
         lights = [replace(light, stack=speckled(light.stack, speckle)) for light in lights]
-    if light_of is None:
-        lights = lights * len(times.times_s)
+    lights = lights * len(times.times_s) if light_of is None else lights
     seeds = np.random.SeedSequence(seed).generate_state(len(times.times_s), np.uint64)
     capture = merge_exposures(
         [
@@ -217,6 +216,7 @@ def measure(
     *,
     path_noise: PathNoise | None,
     back: TakenBack | None = None,
+    bends: bool = True,
 ) -> tuple[CodeMap, DepthMap]:
     """Decode simulated pictures to positions and depth, with the scanner's filters and faults.
 
@@ -225,6 +225,7 @@ def measure(
     Args:
         path_noise: `path_noise` of the radiance from which the pictures were taken.
         back: the pictures, taken back by a known motion of the scene; None: it did not move.
+        bends: whether sigma has the term from bends of the surface.
     """
     rig, code = scanner.rig, scanner.light_code()
     if back is not None:
@@ -253,7 +254,7 @@ def measure(
         seed=scanner.sensor.fpn_seed,
         light_contrast=light_contrast,
     )
-    return codes, with_depth_term(depth, bend_m(depth))
+    return codes, with_depth_term(depth, bend_m(depth)) if bends else depth
 
 
 def decode_capture(
@@ -299,9 +300,8 @@ def _effective_reflectance(
 ) -> Float[np.ndarray, "h w"]:
     """Return the diffuse reflectance that would explain each pixel's brightness; 0 without depth.
 
-    A facing surface at distance d reflects the radiance `R I / (pi d^2)`. The reflectance of a
-    slanted surface, or of one where the projector is dim, is higher than this estimate, so its
-    speckle is overestimated.
+    A facing surface at distance d reflects the radiance `R I / (pi d^2)`. A slanted or dimly lit
+    surface has a higher reflectance than this estimate, so its speckle is overestimated.
     """
     rig, sensor = scanner.rig, scanner.sensor
     # Use the darkest and brightest frames, because the modulation of thin lines would be too small.
@@ -320,7 +320,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     """Return a preset scanner.
 
     `paper` is the scanner of K. Bai et al. 2024, with a plain Gray code and no filter. The others
-    project a phase code on both axes, remove depth that is wrong with a probability over 0.02, and
+    project a phase code on both axes, remove depth that is wrong with a probability over 0.05, and
     flying pixels, and smooth the depth. docs/measurements/materials.md has the shares of wrong
     depth on eight materials. Scanners with a laser have a slight blur of the line, speckle, and the
     faults of a real device.
@@ -370,7 +370,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
             pixel_pitch_m=pitch_m, f_number=entry.f_number, wavelength_m=entry.wavelength_m
         ),
         decode=DecodeSpec(
-            min_contrast=0.002, min_sigmas=3.0, doubt=0.0, max_epipolar_px=0.0, max_p_wrong=0.02
+            min_contrast=0.002, min_sigmas=3.0, doubt=0.0, max_epipolar_px=0.0, max_p_wrong=0.05
         ),
         filters=FilterSpec(flying_angle_deg=75.0, smoothing_px=0.55),
         faults=FaultSpec(raster_px=_PHOXI_RASTER_PX[resolution] if entry.laser else 0.0),

@@ -39,9 +39,9 @@ def remedies(scanner: Scanner) -> tuple[Remedy, ...]:
         "exposure: {factors: [0.05, 0.5, 4, 30]}": replace(
             scanner, exposure=replace(exposure, auto=False, factors=(0.05, 0.5, 4.0, 30.0))
         ),
-        "decode: {max_p_wrong: 0.05}": replace(
+        "decode: {max_p_wrong: 0.2}": replace(
             scanner,
-            decode=replace(scanner.decode, max_p_wrong=max(0.05, scanner.decode.max_p_wrong)),
+            decode=replace(scanner.decode, max_p_wrong=max(0.2, scanner.decode.max_p_wrong)),
         ),
     }
     return tuple(

@@ -29,7 +29,6 @@ from .decode import (
     decode,
     filter_depth,
     levels_of,
-    only_sure,
     triangulate,
     triangulation_axis,
     without_doubt,
@@ -230,7 +229,7 @@ def measure(
     rig, code = scanner.rig, scanner.light_code()
     if back is not None:
         capture = replace(capture, frames=back.frames)
-    codes, depth = decode_capture(scanner, capture, path_noise=path_noise, back=back)
+    codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
     codes, depth = without_doubt(
         codes,
         depth,
@@ -239,6 +238,7 @@ def measure(
         code,
         levels_of(scanner.sensor),
         max_p_wrong=scanner.decode.max_p_wrong,
+        correlation=None if back is None else back.correlation,
     )
     light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)
     if rig.speckle_contrast:
@@ -258,22 +258,17 @@ def measure(
 
 
 def decode_capture(
-    scanner: Scanner,
-    capture: Capture,
-    *,
-    path_noise: PathNoise | None,
-    back: TakenBack | None = None,
+    scanner: Scanner, capture: Capture, *, path_noise: PathNoise | None
 ) -> tuple[CodeMap, DepthMap]:
     """Return positions and depth as the code gives them, before any depth is refused or filtered.
 
     Args:
         path_noise: `path_noise` of the radiance from which the pictures were taken.
-        back: says which pixels are sure; None: nothing moved.
     """
     rig, code = scanner.rig, scanner.light_code()
     axis = triangulation_axis(rig)
     codes = decode(capture.frames, code, scanner.decode, levels_of(scanner.sensor))
-    codes = with_ripple(only_sure(codes, back), code)
+    codes = with_ripple(codes, code)
     codes = with_position_term(codes, {axis: line_noise_px(code, axis, rig.line_noise)})
     if path_noise is not None:
         codes = with_position_term(codes, light_path_px(code, path_noise))

@@ -44,7 +44,7 @@ from .reasons import (
     reason_shares,
 )
 from .separation import separate
-from .taken_back import TakenBack, only_sure, take_back
+from .taken_back import TakenBack, take_back
 from .triangulation import (
     epipolar_residual_px,
     meet_planes,
@@ -73,7 +73,6 @@ __all__ = [
     "little_depth_note",
     "meet_planes",
     "off_the_line",
-    "only_sure",
     "pooled_shares",
     "reason_counts",
     "reason_shares",

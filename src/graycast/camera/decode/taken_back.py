@@ -9,7 +9,7 @@ the result is a stack of a scene at rest, with the deviations of the real pictur
 Any decoder can read it, and still finds what contradicts.
 
 If another surface hides a point in some of the pictures, or it is bright only from some directions,
-its pictures fit no depth well. Such pixels are not sure.
+its pictures fit no depth well. The low correlation is evidence that its depth is wrong.
 """
 
 import math
@@ -28,7 +28,6 @@ from ...base.public_value import public_value
 from ...rig.optics import picture_rays
 from ...rig.pair import Rig
 from ...rig.pattern import AXES, Axis, Code
-from .maps import CodeMap
 from .moving_points import (
     at_nearness,
     between,
@@ -39,27 +38,22 @@ from .moving_points import (
     share_at,
     value_at,
 )
-from .reasons import Reason
 
 STEP_PX = 2.0  # Motion of the projector's place between two depths that are tried
-SURE = 0.95  # Least correlation of a sure pixel, if its point moves in the picture
-MOVES_PX = 0.5  # by at least this distance
+MOVES_PX = 0.5  # Least motion in the picture of a point whose correlation is evidence
 
 
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TakenBack:
-    """The pictures of a scene at rest, and the pixels whose pictures fit them."""
+    """The pictures of a scene at rest, and how well the pictures of each pixel fit its depth.
+
+    `correlation` is that of the pictures with the light of the best depth. It is NaN where the
+    point moves in the picture by less than `MOVES_PX`.
+    """
 
     frames: arrays.UInt8or16Array_n_h_w
-    sure: arrays.BoolArray_h_w
-
-
-def only_sure(codes: CodeMap, back: TakenBack | None) -> CodeMap:
-    """Return positions without those that are not sure; all of them if nothing was taken back."""
-    if back is None:
-        return codes
-    return codes.without(~back.sure & (codes.reason == Reason.DECODED), Reason.CONTRADICTORY)
+    correlation: arrays.FloatArray_h_w
 
 
 def take_back(
@@ -102,7 +96,7 @@ def take_back(
     _give_back(stack, shift, best, place, light, steps, saturation_dn, result)
     moved_px = np.linalg.norm(shift[..., :2], axis=-1).max(axis=(0, 1))
     moves = cv2.resize(moved_px, best.shape[::-1], interpolation=cv2.INTER_LINEAR) > MOVES_PX
-    return TakenBack(frames=result, sure=~moves | (score >= SURE))
+    return TakenBack(frames=result, correlation=np.where(moves, score, np.float32(np.nan)))
 
 
 class _Steps(NamedTuple):

@@ -25,7 +25,6 @@ from ..decode import (
     TakenBack,
     decode,
     epipolar_residual_px,
-    only_sure,
     separate,
     triangulate,
     triangulation_axis,
@@ -124,7 +123,7 @@ def decode_stack(
     _check_axes(code, spec, rig, average, path)
     _check_motion(motion_m, rig, path)
     pictures, levels, back, motion_m = _read(description, code, rig, motion_m, path, clock)
-    codes = with_ripple(only_sure(decode(pictures.frames, code, spec, levels.levels), back), code)
+    codes = with_ripple(decode(pictures.frames, code, spec, levels.levels), code)
     clock.lap("decode")
     diagnosis = diagnose(pictures, code, codes, spec, levels.levels, known=description.levels)
     warnings = [*diagnosis.warnings, *(size_symptom(code, rig) if rig else [])]
@@ -143,7 +142,10 @@ def decode_stack(
             residual_px = epipolar_residual_px(codes, first, rig)
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = epipolar_limit_px(stated_px, residual_px)
-        positions, sure = without_doubt(codes, first, rig, *evidence, max_p_wrong=limit)
+        correlation = None if back is None else back.correlation
+        positions, sure = without_doubt(
+            codes, first, rig, *evidence, max_p_wrong=limit, correlation=correlation
+        )
         depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
         p_wrong = depth.p_wrong
         if not diagnosis.explained:

@@ -126,9 +126,20 @@ def take(
     *,
     seed: int,
     metered: arrays.BoolArray_h_w | None = None,
-    light_of: Callable[[ExposureTimes], Sequence[SensorLight]] | None = None,
 ) -> Capture:
-    """Return the measuring camera's stack: one picture per pattern, with exposures merged.
+    """Return the stack of `take_exposures` for a still scene, with all exposures merged."""
+    return merge_exposures(take_exposures(scanner, radiance, seed=seed, metered=metered))
+
+
+def take_exposures(
+    scanner: Scanner,
+    radiance: Radiance,
+    *,
+    seed: int,
+    metered: arrays.BoolArray_h_w | None = None,
+    light_of: Callable[[ExposureTimes], Sequence[SensorLight]] | None = None,
+) -> list[Capture]:
+    """Return the measuring camera's stack of each exposure: one picture per pattern.
 
     All exposures are taken through the same optics, so they have the same speckle pattern.
 
@@ -153,19 +164,12 @@ def take(
         lights = [replace(light, stack=speckled(light.stack, speckle)) for light in lights]
     lights = lights * len(times.times_s) if light_of is None else lights
     seeds = np.random.SeedSequence(seed).generate_state(len(times.times_s), np.uint64)
-    capture = merge_exposures(
-        [
-            expose(
-                _with_new_lines(scanner, radiance, light.stack, seed=int(own)),
-                light.background,
-                scanner.sensor,
-                exposure_s=time_s,
-                seed=int(own),
-            )
-            for light, time_s, own in zip(lights, times.times_s, seeds, strict=True)
-        ]
-    )
-    return replace(capture, reference_s=times.reference_s, times_s=times.times_s)
+    captures = []
+    for light, time_s, own in zip(lights, times.times_s, seeds, strict=True):
+        stack = _with_new_lines(scanner, radiance, light.stack, seed=int(own))
+        capture = expose(stack, light.background, scanner.sensor, exposure_s=time_s, seed=int(own))
+        captures.append(replace(capture, reference_s=times.reference_s))
+    return captures
 
 
 def _speckle(scanner: Scanner, radiance: Radiance, seed: int) -> Speckle:
@@ -228,7 +232,8 @@ def measure(
     """
     rig, code = scanner.rig, scanner.light_code()
     if back is not None:
-        capture = replace(capture, frames=back.frames)
+        exposure_s = capture.exposure_s if back.exposure_s is None else back.exposure_s
+        capture = replace(capture, frames=back.frames, exposure_s=exposure_s)
     codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
     codes, depth = without_doubt(
         codes,

@@ -265,8 +265,8 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
         captures: captures of the same scene with the same sensor and code, in any order.
 
     Returns:
-        A capture whose `exposure_s` is a float32 map, whose `reference_s` is the shortest time and
-        whose `times_s` has all times, the shortest first. A single capture is returned unchanged.
+        A capture whose `exposure_s` is a float32 map, whose `reference_s` is that of the shortest
+        exposure and whose `times_s` has all times. A single capture is returned unchanged.
 
     Raises:
         ValueError: no captures, different sensors or sizes, or a capture that is already merged.
@@ -292,7 +292,7 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
     saturation_dn = stored_saturation_dn(first.sensor)
     for other in longer:
         _take_unsaturated(other.frames, saturation_dn, other.exposure_s, frames, exposure_s)
-    times_s = tuple(float(np.min(capture.exposure_s)) for capture in (first, *longer))
+    times_s = tuple(float(np.min(capture.exposure_s)) for capture in captures)
     return replace(first, frames=frames, exposure_s=exposure_s, times_s=times_s)
 
 

@@ -107,7 +107,7 @@ class MotionSection(Settings):
     compensate: bool = Field(
         default=False,
         description="Whether the decoder knows the motion and takes the pictures back to the time "
-        "of the ground truth. It needs one exposure, and seconds to minutes for a scan.",
+        "of the ground truth. It takes seconds to minutes for each exposure of a scan.",
     )
     render_px: Positive = Field(
         default=0.25,

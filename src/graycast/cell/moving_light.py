@@ -11,6 +11,7 @@ time and stay at their pixels; fixed lamps, see `motion`.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,14 +19,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..base import array_types as arrays
-from ..base.errors import ConfigError
 from ..base.frames import inverse
 from ..base.progress import UNWATCHED, ProgressMeter
 from ..camera.decode import TakenBack, levels_of, take_back
 from ..camera.exposure import ExposureTimes
 from ..camera.light import SensorLight, camera_light
 from ..camera.scanner import Scanner
-from ..camera.sensor import Capture
+from ..camera.sensor import Capture, merge_exposures
 from ..rendering import Quality, Renderer
 from ..world.scene import Layout, Scene, bin_of
 from .motion import MotionSection, Timeline, pose_at, speed_px_s, timeline
@@ -129,28 +129,23 @@ class MovingLight:
         }
         return [SensorLight(*light) for light in zip(stack, background, strict=True)]
 
-    def taken_back(self, scanner: Scanner, capture: Capture) -> TakenBack | None:
+    def taken_back(self, scanner: Scanner, exposures: Sequence[Capture]) -> TakenBack | None:
         """Return the pictures of the last scan, taken back; None without compensation.
 
-        Raises:
-            ConfigError: the scan has several exposures.
+        Each exposure is taken back by its own times, before the exposures are merged.
         """
         if not self._motion.compensate or self._line is None:
             return None
-        if len(self._line.duration_s) > 1:
-            raise ConfigError(
-                f"motion.compensate needs one exposure, and the scan has "
-                f"{len(self._line.duration_s)}: set exposure.factors to [1]"
+        T, code = self._scene.T_world_cam, scanner.light_code()
+        top_dn = levels_of(scanner.sensor).saturation_dn
+        backs = []
+        for exposure, middle_s in zip(exposures, self._line.middle_s, strict=True):
+            poses = [pose_at(T, self._motion, float(t)) for t in middle_s]
+            motion = np.stack([inverse(pose) @ T for pose in poses])
+            backs.append(
+                take_back(exposure.frames, code, scanner.rig, motion, saturation_dn=top_dn)
             )
-        T = self._scene.T_world_cam
-        poses = [pose_at(T, self._motion, float(t)) for t in self._line.middle_s[0]]
-        return take_back(
-            capture.frames,
-            scanner.light_code(),
-            scanner.rig,
-            np.stack([inverse(pose) @ T for pose in poses]),
-            saturation_dn=levels_of(scanner.sensor).saturation_dn,
-        )
+        return backs[0] if len(backs) == 1 else _merged(exposures, backs, top_dn)
 
     def _light_at(self, time_s: float, frames_now: Int[np.ndarray, " k"]) -> tuple[Any, Any]:
         """Return the light of some patterns, and all other light, as in `camera_light`."""
@@ -164,6 +159,26 @@ class MovingLight:
             moved, layout, self._patterns[frames_now], quality=self._quality, seed=self._seed
         )
         return camera_light(rendering.radiance, scene.rig)
+
+
+def _merged(exposures: Sequence[Capture], backs: Sequence[TakenBack], top_dn: float) -> TakenBack:
+    """Merge exposures that were taken back, each with the correlation of its pictures.
+
+    A point may be outside the pictures of one exposure only. It then counts as saturated there, so
+    that another exposure gives its values.
+    """
+    outside = [~back.frames.any(axis=0) for back in backs]
+    inside = [
+        replace(exposure, frames=np.where(out, exposure.frames.dtype.type(top_dn), back.frames))
+        for exposure, back, out in zip(exposures, backs, outside, strict=True)
+    ]
+    capture = merge_exposures(inside)
+    of_exposure = [capture.exposure_s == np.float32(each.exposure_s) for each in exposures]
+    return TakenBack(
+        frames=np.where(np.all(outside, axis=0), capture.frames.dtype.type(0), capture.frames),
+        correlation=np.select(of_exposure, [back.correlation for back in backs]),
+        exposure_s=capture.exposure_s,
+    )
 
 
 def _plan(scene: Scene, layout: Layout, motion: MotionSection, line: Timeline) -> RenderPlan:

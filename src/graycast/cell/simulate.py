@@ -20,8 +20,8 @@ from ..base.streams import image_seeds, scene_seeds
 from ..base.version import __version__
 from ..camera.decode import CodeMap, DepthMap, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
-from ..camera.scanner import Scanner, measure, take
-from ..camera.sensor import Capture
+from ..camera.scanner import Scanner, measure, take, take_exposures
+from ..camera.sensor import Capture, merge_exposures
 from ..dataset.files.json_text import plain
 from ..dataset.files.sample import Raw, Sample
 from ..dataset.write.claim import described_values
@@ -260,9 +260,10 @@ def take_image(
         )  # fmt: skip
     with _timed(timings, "sensor"):
         metered = metered_region(scene, scanner.exposure)
-        capture = take(
+        exposures = take_exposures(
             scanner, rendering.radiance, seed=seeds["noise"], metered=metered, light_of=moving
         )
+        capture = merge_exposures(exposures)
     progress.stage("decoding the pictures")
     with _timed(timings, "picture"):
         noisy = config.render.denoise and quality.denoise == "none"
@@ -277,7 +278,7 @@ def take_image(
             scanner,
             capture,
             path_noise=rendering.radiance.path_noise,
-            back=None if moving is None else moving.taken_back(scanner, capture),
+            back=None if moving is None else moving.taken_back(scanner, exposures),
         )
     return SceneImage(
         rendering=rendering,

@@ -49,11 +49,13 @@ class TakenBack:
     """The pictures of a scene at rest, and how well the pictures of each pixel fit its depth.
 
     `correlation` is that of the pictures with the light of the best depth. It is NaN where the
-    point moves in the picture by less than `MOVES_PX`.
+    point moves in the picture by less than `MOVES_PX`. `exposure_s` has the exposure of each pixel,
+    if several exposures were merged after they were taken back.
     """
 
     frames: arrays.UInt8or16Array_n_h_w
     correlation: arrays.FloatArray_h_w
+    exposure_s: float | arrays.FloatArray_h_w | None = None
 
 
 def take_back(

@@ -142,9 +142,11 @@ class MovingLight:
         for exposure, middle_s in zip(exposures, self._line.middle_s, strict=True):
             poses = [pose_at(T, self._motion, float(t)) for t in middle_s]
             motion = np.stack([inverse(pose) @ T for pose in poses])
-            backs.append(
-                take_back(exposure.frames, code, scanner.rig, motion, saturation_dn=top_dn)
-            )
+            back = take_back(
+                exposure.frames, code, scanner.rig, motion,
+                saturation_dn=top_dn, progress=self._progress,
+            )  # fmt: skip
+            backs.append(back)
         return backs[0] if len(backs) == 1 else _merged(exposures, backs, top_dn)
 
     def _light_at(self, time_s: float, frames_now: Int[np.ndarray, " k"]) -> tuple[Any, Any]:

@@ -3,10 +3,12 @@
 import argparse
 import sys
 from collections.abc import Iterable
+from contextlib import nullcontext
 from pathlib import Path
 
 from ..base.errors import GraycastError
 from ..base.folder import refuse_foreign, whole_folder
+from ..base.progress import UNWATCHED
 from ..rig.pattern import CODECS
 from .arguments import (
     CONTINUE,
@@ -315,15 +317,14 @@ def _decode(options: argparse.Namespace) -> None:
     refuse_foreign(options.out, CODE)
     stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
     scanner = stack_scanner(stack) if options.rig is None else resolve_rig_option(options)
-    if scanner is None:
-        result = decode_stack(stack, average=options.average, motion_m=options.motion)
-    else:
+    with nullcontext(UNWATCHED) if options.motion is None else open_bars() as progress:
         result = decode_stack(
             stack,
-            scanner.rig,
+            None if scanner is None else scanner.rig,
             average=options.average,
-            filters=scanner.filters,
+            filters=None if scanner is None else scanner.filters,
             motion_m=options.motion,
+            progress=progress,
         )
     written = write_result(result, options.out)
     print(describe_result(result))

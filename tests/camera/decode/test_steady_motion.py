@@ -18,6 +18,20 @@ def rig():
     return window_rig(240, 160)
 
 
+class Counts:
+    """A `ProgressMeter` that stores all counts by their kind."""
+
+    def __init__(self):
+        self.counts = {}
+
+    def stage(self, text): ...
+
+    def count(self, what, done, total):
+        self.counts.setdefault(what, []).append((done, total))
+
+    def note(self, text): ...
+
+
 def code_of(rig, codec="gray_phase"):
     return CodeSpec(codec=codec, axes=("column",)).code(
         rig.projector.width_px, rig.projector.height_px
@@ -55,16 +69,22 @@ def test_a_stack_of_a_moving_wall_gives_the_depth_of_its_middle_picture(rig, tmp
     code = code_of(rig)
     frames = pictures_of_wall(rig, code, motions(len(code.frames), STEP_M, 0.0), spots)
     path = save(tmp_path, describe(code), frames)
+    meter = Counts()
     taken, back = (
-        decode_stack(path, rig, motion_m=start_m)
+        decode_stack(path, rig, motion_m=start_m, progress=meter)
         for start_m in (None, (0.00048, -0.00024, 0.00032))
     )
+    for what in ("trials of the motion", "depths of moving pixels"):
+        done, total = zip(*meter.counts[what], strict=True)
+        assert len(done) > 20 and list(done) == sorted(done)
+        assert done[0] == 0 and done[-1] == total[0] and len(set(total)) == 1
     truth_m = wall_depth(rig.camera, *WALL_M)
     good = [(np.abs(result.depth.depth_m - truth_m) < 5e-4).mean() for result in (taken, back)]
     assert good[0] < 0.3 and good[1] > 0.8
     assert back.motion_m == pytest.approx(tuple(STEP_M), abs=2e-5)
     assert taken.motion_m is None
-    assert "depth is that of picture 9" in describe_result(back)
+    words = describe_result(back)
+    assert "depth is that of picture 9" in words and "set max_p_wrong" in words
 
 
 def test_frames_of_one_time_are_refused(rig):

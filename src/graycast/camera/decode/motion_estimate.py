@@ -22,6 +22,7 @@ from scipy.optimize import minimize
 from ...base import array_types as arrays
 from ...base.errors import DecodeError
 from ...base.kernels import kernel
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...rig.optics import picture_rays
 from ...rig.pair import Rig
 from ...rig.pattern import Code
@@ -45,6 +46,7 @@ FINE = 8  # Parts of a step in which the best depth is then searched
 MOST_SHARE = 0.99999  # Rounding makes no pixel surer than this (r squared).
 RADIUS_PX = 2.4  # First steps of the search, over the whole stack
 END_PX = 0.08
+TRIALS = 60  # Most motions that are tried from one start
 AROUND = (1.0, 0.8, 1.2)  # The search starts at these multiples of the assumed motion,
 FARTHEST = 0.4  # and ends at most this share of it away.
 REST_PX = 0.5  # If the assumed motion is less over the whole stack, the search starts at rest
@@ -58,6 +60,7 @@ def steady_motion(
     time: Float[np.ndarray, " n"],
     *,
     start_m: Float[np.ndarray, "3"],
+    progress: ProgressMeter = UNWATCHED,
 ) -> Float[np.ndarray, "3"]:
     """Return the motion of the scene per unit of time, in the coordinates of the camera [m].
 
@@ -80,6 +83,8 @@ def steady_motion(
     unit_m = _pixel_m(rig) / np.ptp(time)  # A motion by one pixel over the whole stack
 
     def misfit(motion_px: Float[np.ndarray, "3"]) -> float:
+        trials.append(motion_px)
+        progress.count("trials of the motion", len(trials) - 1, most)
         return -likelihood(steady_transforms(motion_px * unit_m, time))
 
     start_px = start_m / unit_m
@@ -88,11 +93,14 @@ def steady_motion(
     best_px, least = start_px, np.inf
     beside_px = BESIDE_PX * np.eye(3)[:2]
     around_px = [share * start_px for share in AROUND]
-    for first_px in [start_px, *beside_px, *-beside_px] if at_rest else around_px:
-        options = {"initial_tr_radius": RADIUS_PX, "final_tr_radius": END_PX, "maxfev": 60}
+    starts_px = [start_px, *beside_px, *-beside_px] if at_rest else around_px
+    trials, most = list[Float[np.ndarray, "3"]](), TRIALS * len(starts_px)  # Often fewer are needed
+    for first_px in starts_px:
+        options = {"initial_tr_radius": RADIUS_PX, "final_tr_radius": END_PX, "maxfev": TRIALS}
         result = minimize(misfit, first_px, method="COBYQA", options=options)
         if result.fun < least and np.linalg.norm(result.x - start_px) <= far_px:
             best_px, least = result.x, result.fun
+    progress.count("trials of the motion", most, most)
     if least == 0:
         raise DecodeError(
             "with the assumed motion, no point stays in the camera's picture during all frames: "

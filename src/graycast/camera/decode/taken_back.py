@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from ...base import array_types as arrays
 from ...base.errors import DecodeError
 from ...base.kernels import kernel
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.public_value import public_value
 from ...rig.optics import picture_rays
 from ...rig.pair import Rig
@@ -65,6 +66,7 @@ def take_back(
     T_then_now: arrays.FloatArray_n_4_4,
     *,
     saturation_dn: float,
+    progress: ProgressMeter = UNWATCHED,
 ) -> TakenBack:
     """Return the pictures that a scene at rest would have given at the reference time.
 
@@ -90,9 +92,11 @@ def take_back(
     nearness = nearnesses(rig, step_px=STEP_PX)
     score = np.zeros(ray.shape[:2], dtype=np.float32)
     best = np.full(ray.shape[:2], -1.0, dtype=np.float32)
-    for near in nearness.tolist():
+    for number, near in enumerate(nearness.tolist()):
+        progress.count("depths of moving pixels", number, len(nearness))
         place, moved = places(rig, ray, near), at_nearness(shift, np.float32(near))
         _correlate(stack, moved, np.float32(near), place, light, score, best)
+    progress.count("depths of moving pixels", len(nearness), len(nearness))
     result = np.zeros_like(stack)
     place = places(rig, ray, best)
     _give_back(stack, shift, best, place, light, steps, saturation_dn, result)

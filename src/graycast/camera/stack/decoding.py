@@ -11,6 +11,7 @@ from jaxtyping import Num, UInt8
 
 from ...base import array_types as arrays
 from ...base.errors import DecodeError
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.public_value import public_value
 from ...rig.optics import mask_points
 from ...rig.pair import Rig
@@ -102,6 +103,7 @@ def decode_stack(
     average: bool = False,
     filters: FilterSpec | None = None,
     motion_m: Motion | None = None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> StackResult:
     """Decode the stack that a YAML file describes.
 
@@ -109,7 +111,8 @@ def decode_stack(
     as a check. `average` joins the camera pixels of each projector pixel into one point of the
     cloud, and leaves the depth map unchanged. `filters` apply to depth, but not to averaged clouds.
     If a scene moves steadily, `motion_m` is its assumed motion from picture to picture along the
-    axes of the camera. It is estimated (see `steady_motion`) and taken back before decoding.
+    axes of the camera. It is estimated (see `steady_motion`) and taken back before decoding, which
+    takes seconds to minutes and is reported to `progress`.
 
     Raises:
         ConfigError: the stack file has a wrong value.
@@ -122,7 +125,9 @@ def decode_stack(
     code = code_of(description, path)
     _check_axes(code, spec, rig, average, path)
     _check_motion(motion_m, rig, path)
-    pictures, levels, back, motion_m = _read(description, code, rig, motion_m, path, clock)
+    pictures, levels, back, motion_m = _read(
+        description, code, rig, motion_m, path, clock, progress
+    )
     codes = with_ripple(decode(pictures.frames, code, spec, levels.levels), code)
     clock.lap("decode")
     diagnosis = diagnose(pictures, code, codes, spec, levels.levels, known=description.levels)
@@ -160,7 +165,7 @@ def decode_stack(
     reason = positions.reason if depth is None else depth.reason
     figures = figures_of(pictures.frames, code, by_noise, residual_px, reason)
     notes += idle_settings(spec, stated_px, code, rig)
-    notes += describe_steady(pictures, motion_m)
+    notes += describe_steady(pictures, motion_m, max_p_wrong=limit)
     light = _light(pictures, code, levels.levels)
     clock.lap("figures")
     return StackResult(
@@ -187,6 +192,7 @@ def _read(
     motion_m: Motion | None,
     path: Path,
     clock: "_Clock",
+    progress: ProgressMeter,
 ) -> tuple[StackPictures, MeasuredLevels, TakenBack | None, Motion | None]:
     """Return the pictures, without the motion that was to be taken back, and their levels."""
     pictures = read_pictures([path.parent / section.file for section in description.frames])
@@ -199,7 +205,9 @@ def _read(
     if motion_m is not None and rig is not None:
         if pictures.frames.shape[1:] != _camera_shape(rig):
             raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
-        pictures, back, motion_m = taken_back(pictures, code, rig, levels.levels, start_m=motion_m)
+        pictures, back, motion_m = taken_back(
+            pictures, code, rig, levels.levels, start_m=motion_m, progress=progress
+        )
         clock.lap("motion")
     return pictures, levels, back, motion_m
 

@@ -23,7 +23,6 @@ from ..decode import (
     FilterSpec,
     Levels,
     Reason,
-    TakenBack,
     decode,
     epipolar_residual_px,
     separate,
@@ -111,8 +110,7 @@ def decode_stack(
     as a check. `average` joins the camera pixels of each projector pixel into one point of the
     cloud, and leaves the depth map unchanged. `filters` apply to depth, but not to averaged clouds.
     If a scene moves steadily, `motion_m` is its assumed motion from picture to picture along the
-    axes of the camera. It is estimated (see `steady_motion`) and taken back before decoding, which
-    takes seconds to minutes and is reported to `progress`.
+    axes of the camera. It is estimated (see `steady_motion`) and taken back before decoding.
 
     Raises:
         ConfigError: the stack file has a wrong value.
@@ -124,8 +122,7 @@ def decode_stack(
     spec, stated_px = description.decode_spec()
     code = code_of(description, path)
     _check_axes(code, spec, rig, average, path)
-    _check_motion(motion_m, rig, path)
-    pictures, levels, back, motion_m = _read(
+    pictures, levels, correlation, motion_m = _read(
         description, code, rig, motion_m, path, clock, progress
     )
     codes = with_ripple(decode(pictures.frames, code, spec, levels.levels), code)
@@ -135,24 +132,21 @@ def decode_stack(
     _check_light(pictures, codes, warnings, path)
     picture = _picture(pictures, code)
     clock.lap("diagnosis")
-    depth = cloud = residual_px = None
-    by_noise, notes, limit = codes, list[str](), spec.max_p_wrong
-    evidence = pictures.frames, code, levels.levels
+    depth = cloud = residual_px = p_wrong = None
+    by_noise, limit, evidence = codes, spec.max_p_wrong, (pictures.frames, code, levels.levels)
+    notes = describe_steady(pictures, motion_m, max_p_wrong=limit)
     if rig is None:
         positions, p_wrong = without_doubtful_positions(codes, *evidence, max_p_wrong=limit)
     else:
         _refuse_turned(codes, rig, path)
         first = triangulate(codes, rig)
-        if len(code.axes) == 2:
-            residual_px = epipolar_residual_px(codes, first, rig)
-            by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
+        residual_px = epipolar_residual_px(codes, first, rig) if len(code.axes) == 2 else None
+        by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = epipolar_limit_px(stated_px, residual_px)
-        correlation = None if back is None else back.correlation
         positions, sure = without_doubt(
             codes, first, rig, *evidence, max_p_wrong=limit, correlation=correlation
         )
         depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
-        p_wrong = depth.p_wrong
         if not diagnosis.explained:
             warnings += symptoms(codes, rig, first, residual_px)
             notes += doubts(codes, rig)
@@ -162,10 +156,8 @@ def decode_stack(
             joined = _positions_with_depth(by_noise, first, sure)
             cloud = _joined_cloud(joined, code, rig, picture, spec.fine_bits, limit_px)
         clock.lap("cloud")
-    reason = positions.reason if depth is None else depth.reason
-    figures = figures_of(pictures.frames, code, by_noise, residual_px, reason)
+    figures = figures_of(pictures.frames, code, by_noise, residual_px, (depth or positions).reason)
     notes += idle_settings(spec, stated_px, code, rig)
-    notes += describe_steady(pictures, motion_m, max_p_wrong=limit)
     light = _light(pictures, code, levels.levels)
     clock.lap("figures")
     return StackResult(
@@ -178,7 +170,7 @@ def decode_stack(
         notes=tuple(notes),
         seconds=clock.seconds,
         depth=depth,
-        p_wrong=p_wrong,
+        p_wrong=p_wrong if depth is None else depth.p_wrong,
         cloud=cloud,
         light=light,
         motion_m=motion_m,
@@ -193,23 +185,25 @@ def _read(
     path: Path,
     clock: "_Clock",
     progress: ProgressMeter,
-) -> tuple[StackPictures, MeasuredLevels, TakenBack | None, Motion | None]:
-    """Return the pictures, without the motion that was to be taken back, and their levels."""
+) -> tuple[StackPictures, MeasuredLevels, arrays.FloatArray_h_w | None, Motion | None]:
+    """Return pictures at rest, their levels, the correlation of `TakenBack`, and the motion."""
+    _check_motion(motion_m, rig, path)
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)
     clock.lap("read")
     with _naming(path):
         levels = measure_levels(pictures.frames, code, description.levels)
     clock.lap("levels")
-    back = None
+    correlation = None
     if motion_m is not None and rig is not None:
         if pictures.frames.shape[1:] != _camera_shape(rig):
             raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
         pictures, back, motion_m = taken_back(
             pictures, code, rig, levels.levels, start_m=motion_m, progress=progress
         )
+        correlation = back.correlation
         clock.lap("motion")
-    return pictures, levels, back, motion_m
+    return pictures, levels, correlation, motion_m
 
 
 def _light(pictures: StackPictures, code: Code, levels: Levels):
@@ -237,7 +231,7 @@ def _by_noise(
     pixels next to an edge of the finest bit would be uncertain and left out, which would move the
     mean of the cell by a fifth of a column.
     """
-    if code.subpixel:
+    if code.subpixel or len(code.axes) < 2:
         return codes
     return decode(pictures.frames, code, spec, levels, fine_error=0.0)
 

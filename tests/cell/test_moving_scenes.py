@@ -9,12 +9,12 @@ from stage import SOMEWHERE, in_camera, lambert, leaning_wall
 
 from graycast.base.errors import ArgumentError, ConfigError
 from graycast.base.frames import axis_rotation, inverse, rigid, transform_points
-from graycast.camera.decode import DecodeSpec, Levels, decode
+from graycast.camera.decode import DecodeSpec, Levels, TakenBack, decode
 from graycast.camera.exposure import ExposureSpec, ExposureTimes
 from graycast.camera.scanner import Scanner, measure, preset, scan, take_exposures
-from graycast.camera.sensor import merge_exposures
+from graycast.camera.sensor import Capture, SensorSpec, merge_exposures, stored_saturation_dn
 from graycast.cell.motion import MotionSection, pose_at, speed_px_s, timeline
-from graycast.cell.moving_light import MovingLight, plan_renders
+from graycast.cell.moving_light import MovingLight, _merged, plan_renders
 from graycast.cell.resolve import patterns_of
 from graycast.rendering import Quality, open_renderer
 from graycast.rig.optics import points, project
@@ -279,6 +279,27 @@ def test_a_belt_and_a_rig_with_the_opposite_velocity_give_the_same_depth(scanner
     still, (belt, hand), _, _ = scans(scanner, motions, mitsuba_renderer, patches=True)
     assert np.array_equal(belt.depth_m, hand.depth_m, equal_nan=True)
     assert not np.array_equal(belt.depth_m, still.depth_m, equal_nan=True)
+
+
+def test_a_point_outside_the_pictures_of_one_exposure_has_the_values_of_the_other():
+    """The pixels are good, saturated or outside in the longer exposure, and outside in both."""
+    sensor = SensorSpec()
+    top_dn = float(stored_saturation_dn(sensor))
+    short, long = np.full((2, 3, 1, 4), 100, dtype=np.uint16)
+    long += 300
+    long[:, 0, 1], long[:, 0, 2:], short[:, 0, 3] = top_dn, 0, 0
+    exposures = [
+        Capture(frames=f, sensor=sensor, exposure_s=s) for f, s in ((short, 1.0), (long, 4.0))
+    ]
+    likeness = [np.full((1, 4), value, dtype=np.float32) for value in (0.5, 0.9)]
+    backs = [
+        TakenBack(frames=each.frames, correlation=value)
+        for each, value in zip(exposures, likeness, strict=True)
+    ]
+    merged = _merged(exposures, backs, top_dn)
+    assert (merged.frames == [[400, 100, 100, 0]]).all()
+    assert merged.exposure_s[0, :3].tolist() == [4, 1, 1]
+    assert np.array_equal(merged.correlation[0, :3], np.float32([0.9, 0.5, 0.5]))
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ Leaves out: motions that turn; pauses between pictures; parts that move on their
 """
 
 import math
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import NamedTuple
 
 import cv2
@@ -83,8 +83,7 @@ def steady_motion(
     unit_m = _pixel_m(rig) / np.ptp(time)  # A motion by one pixel over the whole stack
 
     def misfit(motion_px: Float[np.ndarray, "3"]) -> float:
-        trials.append(motion_px)
-        progress.count("trials of the motion", len(trials) - 1, most)
+        progress.count("trials of the motion", next(trial), most)
         return -likelihood(steady_transforms(motion_px * unit_m, time))
 
     start_px = start_m / unit_m
@@ -94,7 +93,7 @@ def steady_motion(
     beside_px = BESIDE_PX * np.eye(3)[:2]
     around_px = [share * start_px for share in AROUND]
     starts_px = [start_px, *beside_px, *-beside_px] if at_rest else around_px
-    trials, most = list[Float[np.ndarray, "3"]](), TRIALS * len(starts_px)  # Often fewer are needed
+    trial, most = count(), TRIALS * len(starts_px)  # Often fewer are needed.
     for first_px in starts_px:
         options = {"initial_tr_radius": RADIUS_PX, "final_tr_radius": END_PX, "maxfev": TRIALS}
         result = minimize(misfit, first_px, method="COBYQA", options=options)

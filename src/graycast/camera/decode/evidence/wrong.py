@@ -94,6 +94,7 @@ def without_doubt(
 
 
 def _less_doubtful(codes, depth, rig, frames, code, levels, max_p_wrong, correlation):
+    """Return what `without_doubt` returns, from the evidence of the pixels that have depth."""
     cues = cues_of(frames, code, levels, codes, depth, rig)
     p_wrong = at_rest = _probability(cues, np.isfinite(depth.depth_m))
     if correlation is not None:

@@ -1,6 +1,6 @@
 """Depth on a moving belt: decoded and wrong share by speed, as taken and with pictures taken back.
 
-python -m studies.belt_speed [--codes CODE ...]
+python -m studies.belt_speed [--codes CODE ...] [--speeds M_S ...] [--pictures FOLDER]
 
 Prints the table of docs/measurements/motion.md: 12 brackets at `small`, 64 paths per pixel, columns
 only, one exposure, and a picture every 20 ms. The belt moves along the baseline. Each cell has the
@@ -10,10 +10,13 @@ low.
 """
 
 import argparse
+import pickle
 from itertools import product
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 import graycast as gc
 from benchmarks.stages import cell_of
@@ -30,13 +33,13 @@ from graycast.camera.decode import (
 )
 from graycast.cell.motion import MotionSection, pose_at
 from graycast.cell.simulate import on_part
-from graycast.rendering import GroundTruth
+from graycast.rendering import GroundTruth, PathNoise
 
-SPEEDS_M_S = (0.0, 0.02, 0.05, 0.1)
+SPEEDS_M_S = (0.0, 0.02, 0.05, 0.1, 0.2)
 PICTURE_S = 0.02
 ASSUMED = 0.8  # The share of the true velocity from which the estimate starts.
 RIGS = ("like-phoxi-m", "like-zivid-2-m70")
-CODES = ("gray_phase", "multi_frequency")
+CODES = ("gray_phase", "multi_frequency", "micro_phase")
 
 
 def shares(depth: DepthMap, truth: GroundTruth, part: Bool[np.ndarray, "h w"]) -> str:
@@ -49,8 +52,19 @@ def shares(depth: DepthMap, truth: GroundTruth, part: Bool[np.ndarray, "h w"]) -
     return f"{100 * decoded:.0f}; {100 * spoilt:.1f}; {median_um:.0f}"
 
 
-def figures(rig: str, codec: str, speed_m_s: float) -> list[str]:
-    """Return the shares as taken, with the known and with the estimated motion, and its error."""
+class Scan(NamedTuple):
+    """The pictures of one scan of the moving scene, with their ground truth."""
+
+    scanner: gc.Scanner
+    capture: gc.Capture
+    path_noise: PathNoise | None
+    truth: GroundTruth
+    part: Bool[np.ndarray, "h w"]
+    middle_s: Float[np.ndarray, " n"]
+    T_then_now: Float[np.ndarray, "n 4 4"]
+
+
+def scan(rig: str, codec: str, speed_m_s: float) -> Scan:
     motion = MotionSection(belt_m_s=(speed_m_s, 0.0, 0.0), picture_s=PICTURE_S)
     cell = cell_of(
         {
@@ -72,29 +86,58 @@ def figures(rig: str, codec: str, speed_m_s: float) -> list[str]:
     T_then_now = np.stack([inverse(pose_at(T, motion, float(t))) @ T for t in middle_s])
     part = on_part(sample.scene, sample.layout, sample.truth)
     noise = shot.rendering.radiance.path_noise
-    true_m_s = T_then_now[-1, :3, 3] / middle_s[-1]
-    scanner, frames = cell.scanner, shot.capture.frames
+    return Scan(cell.scanner, shot.capture, noise, sample.truth, part, middle_s, T_then_now)
+
+
+def stored_scan(rig: str, codec: str, speed_m_s: float, folder: Path | None) -> Scan:
+    """Return the scan that the folder has; render and store it if the folder lacks it."""
+    if folder is None:
+        return scan(rig, codec, speed_m_s)
+    path = folder / f"{rig}_{codec}_{speed_m_s:g}.pickle"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(pickle.dumps(scan(rig, codec, speed_m_s)))
+    stored: Scan = pickle.loads(path.read_bytes())
+    return stored
+
+
+def figures(taken: Scan) -> list[str]:
+    """Return the shares as taken, with the known and with the estimated motion, and its error."""
+    scanner, frames, middle_s = taken.scanner, taken.capture.frames, taken.middle_s
+    true_m_s = taken.T_then_now[-1, :3, 3] / middle_s[-1]
     code, top_dn = scanner.light_code(), levels_of(scanner.sensor).saturation_dn
     start_m_s = ASSUMED * true_m_s
     estimate_m_s = steady_motion(frames, code, scanner.rig, middle_s, start_m=start_m_s)
-    depths = [sample.scanner_depth]
-    for T in (T_then_now, steady_transforms(estimate_m_s, middle_s)):
-        back = take_back(frames, code, scanner.rig, T, saturation_dn=top_dn)
-        depths.append(gc.measure(scanner, shot.capture, path_noise=noise, back=back)[1])
+    backs = [None]
+    for T in (taken.T_then_now, steady_transforms(estimate_m_s, middle_s)):
+        backs.append(take_back(frames, code, scanner.rig, T, saturation_dn=top_dn))
+    cells = []
+    for back in backs:
+        depth = gc.measure(scanner, taken.capture, path_noise=taken.path_noise, back=back)[1]
+        cells.append(shares(depth, taken.truth, taken.part))
     off_m_s, speed = np.linalg.norm(estimate_m_s - true_m_s), np.linalg.norm(true_m_s)
-    off = f"{100 * off_m_s / speed:.1f}" if speed_m_s else f"{1e3 * off_m_s:.2g} mm/s"
-    return [*(shares(depth, sample.truth, part) for depth in depths), off]
+    off = f"{100 * off_m_s / speed:.1f}" if speed else f"{1e3 * off_m_s:.2g} mm/s"
+    return [*cells, off]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Depth on a moving belt, by its speed.")
-    codes = "The codes to scan with (default: %(default)s)."
-    parser.add_argument("--codes", nargs="+", default=["gray_phase"], choices=CODES, help=codes)
+    for name, type_, default in (
+        ("rigs", str, RIGS),
+        ("codes", str, CODES[:1]),
+        ("speeds", float, SPEEDS_M_S),
+    ):
+        parser.add_argument(
+            f"--{name}", nargs="+", default=default, type=type_, help="(default: %(default)s)"
+        )
+    store = "A folder that stores the pictures, so that a second run only decodes."
+    parser.add_argument("--pictures", type=Path, help=store)
     options = parser.parse_args()
     head = ["rig", "code", "speed [m/s]", "as taken", "known", "estimated", "off"]
     rows = []
-    for rig, code, speed_m_s in product(RIGS, options.codes, SPEEDS_M_S):
-        rows.append([rig, code, f"{speed_m_s:g}", *figures(rig, code, speed_m_s)])
+    for rig, code, speed_m_s in product(options.rigs, options.codes, options.speeds):
+        taken = stored_scan(rig, code, speed_m_s, options.pictures)
+        rows.append([rig, code, f"{speed_m_s:g}", *figures(taken)])
         print(*rows[-1], flush=True)
     print(markdown_table(head, rows))
 

@@ -109,6 +109,12 @@ class MotionSection(Settings):
         description="Whether the decoder knows the motion and takes the pictures back to the time "
         "of the ground truth. It takes seconds to minutes for each exposure of a scan.",
     )
+    flow: bool = Field(
+        default=False,
+        # A dataset without flow has the same files as those of versions without this key.
+        exclude_if=lambda flow: not flow,
+        description="Whether a dataset has the flow from the ground truth to each picture.",
+    )
     render_px: Positive = Field(
         default=0.25,
         description="The largest motion of the picture between two renders, in pixels of the "

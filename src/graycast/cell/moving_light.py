@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 
 from ..base import array_types as arrays
 from ..base.frames import inverse
@@ -26,10 +26,10 @@ from ..camera.exposure import ExposureTimes
 from ..camera.light import SensorLight, camera_light
 from ..camera.scanner import Scanner
 from ..camera.sensor import Capture, merge_exposures
-from ..rendering import Quality, Renderer
+from ..rendering import GroundTruth, Quality, Renderer
 from ..world.scene import Layout, Scene, bin_of
 from .motion import MotionSection, Timeline, pose_at, speed_px_s, timeline
-from .moving_parts import layout_at, parts_speed_px_s
+from .moving_parts import flow_px, layout_at, parts_speed_px_s
 from .views import refuse_inside
 
 
@@ -148,6 +148,14 @@ class MovingLight:
             )  # fmt: skip
             backs.append(back)
         return backs[0] if len(backs) == 1 else _merged(exposures, backs, top_dn)
+
+    def flow(self, truth: GroundTruth) -> Float32[np.ndarray, "p h w 2"] | None:
+        """Return the flow to each picture of the last scan [px]; None if it is not wanted."""
+        if not self._motion.flow or self._line is None:
+            return None
+        times_s = self._line.middle_s.ravel().tolist()
+        still = self._scene, self._layout, truth, self._motion
+        return np.stack([flow_px(*still, time_s).astype(np.float32) for time_s in times_s])
 
     def _light_at(self, time_s: float, frames_now: Int[np.ndarray, " k"]) -> tuple[Any, Any]:
         """Return the light of some patterns, and all other light, as in `camera_light`."""

@@ -78,7 +78,7 @@ class SceneImage:
     rgb: UInt8[np.ndarray, "h w 3"]
     codes: CodeMap
     depth: DepthMap
-    motion: dict[str, Any] | None  # The times of the pictures and the number of renders
+    moving: MovingLight | None
 
 
 def make_scene(
@@ -199,7 +199,7 @@ def _taken(
         },
         "exposure_s": capture.reference_s,
         **({"exposures_s": list(capture.times_s)} if scanner.exposure.auto else {}),
-        **({} if image.motion is None else {"motion": image.motion}),
+        **({} if image.moving is None else {"motion": image.moving.record}),
         "reasons": reason_shares(depth.reason),
         "part_reasons": reason_shares(depth.reason[on_part(scene, layout, rendering.truth)]),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
@@ -218,6 +218,7 @@ def _taken(
             scanner=scanner,
             capture=capture if config.store.frames else None,
             codes=codes if config.store.columns else None,
+            flow_px=None if image.moving is None else image.moving.flow(rendering.truth),
         ),
         sensor=eye.sensor,
         image=eye.image,
@@ -286,7 +287,7 @@ def take_image(
         rgb=rgb,
         codes=codes,
         depth=depth,
-        motion=None if moving is None else moving.record,
+        moving=moving,
     )
 
 

@@ -1,4 +1,4 @@
-"""Check captured pictures and code maps of a scene folder from the files alone."""
+"""Check captured pictures, code maps and flow of a scene folder from the files alone."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,6 +14,7 @@ from ...rig.pattern import AXES
 from ..files import records
 from ..files.safe_reading import Unreadable
 from ..files.scene_folder import SceneFolder, of_sensor
+from ..write.flow import FLOW, flow_name, read_flow
 from ..write.raw import (
     EXPOSURE,
     RIG,
@@ -39,7 +40,7 @@ def raw_problems(
     gray: UInt8[np.ndarray, "h w"],
     reason: UInt8[np.ndarray, "h w"],
 ) -> Iterator[str]:
-    """Yield all problems of an image's `frames/` and code maps, if they are stored.
+    """Yield all problems of an image's `frames/`, code maps and flow, if they are stored.
 
     The check does not decode the pictures; `graycast rig decode` shows whether they give the depth.
     """
@@ -54,6 +55,7 @@ def raw_problems(
             yield from _picture_problems(frames.name, raw.capture, facts.frames, camera, gray)
         maps = read_code_maps(folder, sensor=sensor, number=number)
         yield from _code_problems(maps, reason)
+        yield from _flow_problems(files, number, facts)
     except Unreadable as error:
         yield str(error)
 
@@ -136,3 +138,28 @@ def _code_problems(
         lowest = image[np.isfinite(image)].min(initial=least)
         if lowest < least:
             yield f"map of {name} has the value {lowest}, under {least}"
+
+
+def _flow_problems(files: SceneFolder, number: int, facts: records.RawFacts) -> Iterator[str]:
+    folder = files.path / of_sensor(FLOW, files.sensor)
+    there = len(list(folder.glob(f"{number:06d}_*.png")))
+    if there != facts.flow:
+        yield f"{folder.name}/ has {there} files, manifest.json tells of {facts.flow}"
+        return
+    if not facts.flow:
+        return
+    if facts.motion is None or facts.flow != sum(map(len, facts.motion.start_s)):
+        yield f"{folder.name}/ has {there} files, manifest.json has the times of other pictures"
+        return
+    times = zip(facts.motion.start_s, facts.motion.exposure_s, strict=True)
+    has_depth = files.png("depth", number) > 0
+    middle_s = np.concatenate([np.array(start_s) + long_s / 2 for start_s, long_s in times])
+    for picture in range(facts.flow):
+        flow_px = read_flow(files.path, picture, sensor=files.sensor, number=number)
+        name = flow_name(picture, sensor=files.sensor, number=number)
+        if flow_px.shape[:2] != has_depth.shape:
+            yield f"{name} is {flow_px.shape[:2]}, the camera has {has_depth.shape}"
+        elif np.isnan(flow_px[has_depth]).any():
+            yield f"{name} has no flow in pixels with a depth"
+        elif picture == np.abs(middle_s).argmin() and np.nanmax(np.abs(flow_px), initial=0.0) > 0:
+            yield f"{name} is not 0, and it is the picture of the ground truth"

@@ -287,11 +287,22 @@ class FramesRecord(Record):
     shown: Annotated[list[FrameRecord], Field(min_length=1)]
 
 
+class MotionRecord(BaseModel):
+    """The times of the pictures of a scan that moves, exposure by exposure."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+    start_s: list[list[float]]
+    exposure_s: list[float]
+
+
 class RawFacts(BaseModel):
-    """The entries of `manifest.json` about captured pictures and code maps."""
+    """The entries of `manifest.json` about captured pictures, code maps and flow."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
     exposure_s: Positive = math.nan
     frames: FramesRecord | None = None
     code_maps: list[str] = []
+    flow: int = 0  # number of pictures
+    motion: MotionRecord | None = None

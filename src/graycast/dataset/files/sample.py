@@ -20,11 +20,12 @@ LEAST_DECODED = 1e-3  # Wrong codes alone can give a smaller share of decoded pi
 @public_value
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Raw:
-    """Captured pictures and code maps, if they are kept, and the `scanner` that made them."""
+    """Captured pictures, code maps and flow, if they are kept, and the scanner that made them."""
 
     scanner: Scanner
     capture: Capture | None = None
     codes: CodeMap | None = None
+    flow_px: arrays.Float32Array_n_h_w_2 | None = None  # from the ground truth to each picture
 
     def __post_init__(self) -> None:
         camera, code = self.scanner.rig.camera, self.scanner.light_code()
@@ -34,6 +35,8 @@ class Raw:
             raise ValueError(f"the captured stack is {is_}, code and camera make {must}")
         if self.codes is not None and self.codes.column.shape != must[1:]:
             raise ValueError(f"the code map is {self.codes.column.shape}, the camera {must[1:]}")
+        if self.flow_px is not None and self.flow_px.shape[1:3] != must[1:]:
+            raise ValueError(f"the flow is {self.flow_px.shape[1:3]}, the camera {must[1:]}")
 
     @property
     def code_maps(self) -> tuple[str, ...]:

@@ -29,6 +29,8 @@ OWN_FACTS = (
     "part_reasons",
     "frames",
     "code_maps",
+    "motion",
+    "flow",
 )
 _UNSEALED = ("timings", FURTHER_TIMINGS, OWN)
 _NOT_COMPARED = {*_UNSEALED, SUMS}  # The files themselves are compared, so their digests are not.

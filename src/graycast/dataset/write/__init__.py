@@ -4,7 +4,8 @@ coco           annotations of COCO: masks as run lengths
 picture_bytes  depth, modulation and masks as PNG files
 models         parts as BOP object models
 claim          `graycast.json`: the configuration with which a folder was made
-raw            captured pictures and code maps
+flow           flow to each picture of a scan that moves
+raw            captured pictures, code maps and flow
 bop            a scene as the files of a BOP scene folder
 set_aside      the scenes that failed in every attempt and were given up
 store          a dataset's folder while scenes are written, each completely or not at all

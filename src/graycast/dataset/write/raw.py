@@ -1,4 +1,4 @@
-"""Intermediate results that a dataset may store: captured pictures and code maps.
+"""Results that a dataset may store in addition: captured pictures, code maps, and flow.
 
 The pictures are in a scene's `frames/` as the sensor stored them, with the files that `graycast rig
 decode` needs: `stack.yaml` describes each picture and how to decode it, and `rig.yaml` describes
@@ -27,6 +27,7 @@ from ..files import records
 from ..files.safe_reading import Unreadable, read_json, read_png, record_as
 from ..files.scene_folder import of_sensor
 from ..files.seal import facts_of
+from .flow import flow_files
 
 if TYPE_CHECKING:  # Most scenes have no such files, and a check must not wait for these packages.
     from ..files.sample import Raw
@@ -47,6 +48,8 @@ def raw_files(raw: "Raw", *, sensor: str = "", number: int = 0) -> Iterator[tupl
     """Yield each file as (path in the scene's folder, content); equal values give equal files."""
     if raw.capture is not None:
         yield from _frame_files(raw, raw.capture, frames_folder(sensor, number))
+    if raw.flow_px is not None:
+        yield from flow_files(raw.flow_px, sensor=sensor, number=number)
     if raw.codes is not None:
         for name in raw.code_maps:
             image = getattr(raw.codes, name)
@@ -67,6 +70,8 @@ def raw_facts(raw: "Raw") -> dict[str, Any]:
         }
     if raw.codes is not None:
         facts["code_maps"] = [_folder(name) for name in raw.code_maps]
+    if raw.flow_px is not None:
+        facts["flow"] = len(raw.flow_px)
     return facts
 
 

@@ -26,6 +26,7 @@ from graycast.camera.decode import (
     WRONG_M,
     WRONG_SIGMAS,
     DepthMap,
+    TakenBack,
     levels_of,
     steady_motion,
     steady_transforms,
@@ -108,7 +109,7 @@ def figures(taken: Scan) -> list[str]:
     code, top_dn = scanner.light_code(), levels_of(scanner.sensor).saturation_dn
     start_m_s = ASSUMED * true_m_s
     estimate_m_s = steady_motion(frames, code, scanner.rig, middle_s, start_m=start_m_s)
-    backs = [None]
+    backs: list[TakenBack | None] = [None]
     for T in (taken.T_then_now, steady_transforms(estimate_m_s, middle_s)):
         backs.append(take_back(frames, code, scanner.rig, T, saturation_dn=top_dn))
     cells = []

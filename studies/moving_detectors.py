@@ -38,11 +38,13 @@ CELLS: dict[str, dict[str, Any]] = {
 def cropped(scanner: gc.Scanner) -> gc.Scanner:
     """Return the scanner with the middle of its picture and a shorter range."""
     camera, (width_px, height_px) = scanner.rig.camera, CROP_PX
-    middle = {
-        "cx_px": camera.cx_px - (camera.width_px - width_px) / 2,
-        "cy_px": camera.cy_px - (camera.height_px - height_px) / 2,
-    }
-    camera = replace(camera, width_px=width_px, height_px=height_px, **middle)
+    camera = replace(
+        camera,
+        width_px=width_px,
+        height_px=height_px,
+        cx_px=camera.cx_px - (camera.width_px - width_px) / 2,
+        cy_px=camera.cy_px - (camera.height_px - height_px) / 2,
+    )
     near_m, far_m = RANGE_M
     rig = replace(scanner.rig, camera=camera, near_m=near_m, far_m=far_m)
     return replace(scanner, rig=rig)

@@ -96,7 +96,7 @@ def test_a_dataset_with_flow_is_valid_and_damage_is_detected(scene):
         return text
 
     first = stored(scene / "flow/000001_000000.png")
-    assert "manifest.json tells of" in problem("000001_000003.png", None)
+    assert "manifest.json states" in problem("000001_000003.png", None)
     assert "no flow in pixels with a depth" in problem("000001_000003.png", 0 * first)
     assert "picture of the ground truth" in problem("000001_000001.png", first)
     assert "must be uint16" in problem("000001_000002.png", first[..., 0])

@@ -242,8 +242,8 @@ class VirtualScanner:
             raise ScannerError(f"scanner {rig.name} takes no picture: {error}") from error
 
     def _duration_s(self, image: SceneImage) -> float:
-        if image.motion is not None:
-            return image.motion["scan_s"]
+        if image.moving is not None:
+            return float(image.moving.record["scan_s"])
         return scan_seconds(image.capture, readout_s=self._readout_s)
 
     def _truth_of(self, image: SceneImage) -> FrameTruth:

@@ -144,12 +144,12 @@ def _flow_problems(files: SceneFolder, number: int, facts: records.RawFacts) -> 
     folder = files.path / of_sensor(FLOW, files.sensor)
     there = len(list(folder.glob(f"{number:06d}_*.png")))
     if there != facts.flow:
-        yield f"{folder.name}/ has {there} files, manifest.json tells of {facts.flow}"
+        yield f"{folder.name}/ has {there} files, and manifest.json states {facts.flow}"
         return
     if not facts.flow:
         return
     if facts.motion is None or facts.flow != sum(map(len, facts.motion.start_s)):
-        yield f"{folder.name}/ has {there} files, manifest.json has the times of other pictures"
+        yield f"{folder.name}/ has {there} files, and manifest.json has the times of other pictures"
         return
     times = zip(facts.motion.start_s, facts.motion.exposure_s, strict=True)
     has_depth = files.png("depth", number) > 0

@@ -97,9 +97,9 @@ def stored_scan(rig: str, codec: str, speed_m_s: float, folder: Path | None) -> 
     path = folder / f"{rig}_{codec}_{speed_m_s:g}.pickle"
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(pickle.dumps(scan(rig, codec, speed_m_s)))
-    stored: Scan = pickle.loads(path.read_bytes())
-    return stored
+        # A plain tuple can be read without this module.
+        path.write_bytes(pickle.dumps(tuple(scan(rig, codec, speed_m_s))))
+    return Scan(*pickle.loads(path.read_bytes()))
 
 
 def figures(taken: Scan) -> list[str]:
@@ -117,7 +117,8 @@ def figures(taken: Scan) -> list[str]:
         depth = gc.measure(scanner, taken.capture, path_noise=taken.path_noise, back=back)[1]
         cells.append(shares(depth, taken.truth, taken.part))
     off_m_s, speed = np.linalg.norm(estimate_m_s - true_m_s), np.linalg.norm(true_m_s)
-    off = f"{100 * off_m_s / speed:.1f}" if speed else f"{1e3 * off_m_s:.2g} mm/s"
+    moves = speed > 1e-9  # At rest, the speed is only a rounding error.
+    off = f"{100 * off_m_s / speed:.1f}" if moves else f"{1e3 * off_m_s:.2g} mm/s"
     return [*cells, off]
 
 

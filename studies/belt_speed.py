@@ -11,6 +11,7 @@ low.
 
 import argparse
 import pickle
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +27,6 @@ from graycast.camera.decode import (
     WRONG_M,
     WRONG_SIGMAS,
     DepthMap,
-    TakenBack,
     levels_of,
     steady_motion,
     steady_transforms,
@@ -109,12 +109,13 @@ def figures(taken: Scan) -> list[str]:
     code, top_dn = scanner.light_code(), levels_of(scanner.sensor).saturation_dn
     start_m_s = ASSUMED * true_m_s
     estimate_m_s = steady_motion(frames, code, scanner.rig, middle_s, start_m=start_m_s)
-    backs: list[TakenBack | None] = [None]
+    stacks = [frames]
     for T in (taken.T_then_now, steady_transforms(estimate_m_s, middle_s)):
-        backs.append(take_back(frames, code, scanner.rig, T, saturation_dn=top_dn))
+        stacks.append(take_back(frames, code, scanner.rig, T, saturation_dn=top_dn))
     cells = []
-    for back in backs:
-        depth = gc.measure(scanner, taken.capture, path_noise=taken.path_noise, back=back)[1]
+    for stack in stacks:
+        capture = replace(taken.capture, frames=stack)
+        depth = gc.measure(scanner, capture, path_noise=taken.path_noise)[1]
         cells.append(shares(depth, taken.truth, taken.part))
     off_m_s, speed = np.linalg.norm(estimate_m_s - true_m_s), np.linalg.norm(true_m_s)
     moves = speed > 1e-9  # At rest, the speed is only a rounding error.

@@ -9,10 +9,10 @@ from stage import SOMEWHERE, in_camera, lambert, leaning_wall
 
 from graycast.base.errors import ArgumentError, ConfigError
 from graycast.base.frames import axis_rotation, inverse, rigid, transform_points
-from graycast.camera.decode import DecodeSpec, Levels, TakenBack, decode
+from graycast.camera.decode import DecodeSpec, Levels, decode
 from graycast.camera.exposure import ExposureSpec, ExposureTimes
 from graycast.camera.scanner import Scanner, measure, preset, scan, take_exposures
-from graycast.camera.sensor import Capture, SensorSpec, merge_exposures, stored_saturation_dn
+from graycast.camera.sensor import Capture, SensorSpec, stored_saturation_dn
 from graycast.cell.motion import MotionSection, pose_at, speed_px_s, timeline
 from graycast.cell.moving_light import MovingLight, _merged, plan_renders
 from graycast.cell.resolve import patterns_of
@@ -229,9 +229,7 @@ def scans(scanner, motions, renderer, *, patches):
             renderer, scene, EMPTY_LAYOUT, patterns, motion, quality=quality, seed=1
         )
         exposures = take_exposures(scanner, still.radiance, seed=2, light_of=moving)
-        back = moving.taken_back(scanner, exposures)
-        capture = merge_exposures(exposures)
-        depths.append(measure(scanner, capture, path_noise=None, back=back)[1])
+        depths.append(measure(scanner, moving.at_rest(scanner, exposures), path_noise=None)[1])
         renders.append(moving.record["renders"])
     still_depth = scan(scanner, still.radiance, seed=2).depth
     return still_depth, depths, renders, still.truth
@@ -291,15 +289,9 @@ def test_a_point_outside_the_pictures_of_one_exposure_has_the_values_of_the_othe
     exposures = [
         Capture(frames=f, sensor=sensor, exposure_s=s) for f, s in ((short, 1.0), (long, 4.0))
     ]
-    likeness = [np.full((1, 4), value, dtype=np.float32) for value in (0.5, 0.9)]
-    backs = [
-        TakenBack(frames=each.frames, correlation=value)
-        for each, value in zip(exposures, likeness, strict=True)
-    ]
-    merged = _merged(exposures, backs, top_dn)
+    merged = _merged(exposures, top_dn)
     assert (merged.frames == [[400, 100, 100, 0]]).all()
     assert merged.exposure_s[0, :3].tolist() == [4, 1, 1]
-    assert np.array_equal(merged.correlation[0, :3], np.float32([0.9, 0.5, 0.5]))
 
 
 @pytest.mark.slow

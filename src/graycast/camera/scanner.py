@@ -25,7 +25,6 @@ from .decode import (
     DecodeSpec,
     DepthMap,
     FilterSpec,
-    TakenBack,
     decode,
     filter_depth,
     levels_of,
@@ -218,7 +217,6 @@ def measure(
     capture: Capture,
     *,
     path_noise: PathNoise | None,
-    back: TakenBack | None = None,
     bends: bool = True,
 ) -> tuple[CodeMap, DepthMap]:
     """Decode simulated pictures to positions and depth, with the scanner's filters and faults.
@@ -227,13 +225,9 @@ def measure(
 
     Args:
         path_noise: `path_noise` of the radiance from which the pictures were taken.
-        back: the pictures, taken back by a known motion of the scene; None: it did not move.
         bends: whether sigma has the term from bends of the surface.
     """
     rig, code = scanner.rig, scanner.light_code()
-    if back is not None:
-        exposure_s = capture.exposure_s if back.exposure_s is None else back.exposure_s
-        capture = replace(capture, frames=back.frames, exposure_s=exposure_s)
     codes, depth = decode_capture(scanner, capture, path_noise=path_noise)
     codes, depth = without_doubt(
         codes,
@@ -243,7 +237,6 @@ def measure(
         code,
         levels_of(scanner.sensor),
         max_p_wrong=scanner.decode.max_p_wrong,
-        correlation=None if back is None else back.correlation,
     )
     light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)
     if rig.speckle_contrast:

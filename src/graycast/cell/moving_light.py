@@ -21,7 +21,7 @@ from jaxtyping import Float, Float32, Int
 from ..base import array_types as arrays
 from ..base.frames import inverse
 from ..base.progress import UNWATCHED, ProgressMeter
-from ..camera.decode import TakenBack, levels_of, take_back
+from ..camera.decode import levels_of, take_back
 from ..camera.exposure import ExposureTimes
 from ..camera.light import SensorLight, camera_light
 from ..camera.scanner import Scanner
@@ -129,25 +129,25 @@ class MovingLight:
         }
         return [SensorLight(*light) for light in zip(stack, background, strict=True)]
 
-    def taken_back(self, scanner: Scanner, exposures: Sequence[Capture]) -> TakenBack | None:
-        """Return the pictures of the last scan, taken back; None without compensation.
+    def at_rest(self, scanner: Scanner, exposures: Sequence[Capture]) -> Capture:
+        """Merge the exposures of the last scan; with compensation, of a scene at rest.
 
         Each exposure is taken back by its own times, before the exposures are merged.
         """
         if not self._motion.compensate or self._line is None:
-            return None
+            return merge_exposures(exposures)
         T, code = self._scene.T_world_cam, scanner.light_code()
         top_dn = levels_of(scanner.sensor).saturation_dn
-        backs = []
+        backs = list[Capture]()
         for exposure, middle_s in zip(exposures, self._line.middle_s, strict=True):
             poses = [pose_at(T, self._motion, float(t)) for t in middle_s]
             motion = np.stack([inverse(pose) @ T for pose in poses])
-            back = take_back(
+            frames = take_back(
                 exposure.frames, code, scanner.rig, motion,
                 saturation_dn=top_dn, progress=self._progress,
             )  # fmt: skip
-            backs.append(back)
-        return backs[0] if len(backs) == 1 else _merged(exposures, backs, top_dn)
+            backs.append(replace(exposure, frames=frames))
+        return backs[0] if len(backs) == 1 else _merged(backs, top_dn)
 
     def flow(self, truth: GroundTruth) -> Float32[np.ndarray, "p h w 2"] | None:
         """Return the flow to each picture of the last scan [px]; None if it is not wanted."""
@@ -171,24 +171,21 @@ class MovingLight:
         return camera_light(rendering.radiance, scene.rig)
 
 
-def _merged(exposures: Sequence[Capture], backs: Sequence[TakenBack], top_dn: float) -> TakenBack:
-    """Merge exposures that were taken back, each with the correlation of its pictures.
+def _merged(exposures: Sequence[Capture], top_dn: float) -> Capture:
+    """Merge exposures that were taken back.
 
     A point may be outside the pictures of one exposure only. It then counts as saturated there, so
     that another exposure gives its values.
     """
-    outside = [~back.frames.any(axis=0) for back in backs]
+    outside = [~each.frames.any(axis=0) for each in exposures]
     inside = [
-        replace(exposure, frames=np.where(out, exposure.frames.dtype.type(top_dn), back.frames))
-        for exposure, back, out in zip(exposures, backs, outside, strict=True)
+        replace(each, frames=np.where(out, each.frames.dtype.type(top_dn), each.frames))
+        for each, out in zip(exposures, outside, strict=True)
     ]
     capture = merge_exposures(inside)
-    of_exposure = [capture.exposure_s == np.float32(each.exposure_s) for each in exposures]
-    return TakenBack(
-        frames=np.where(np.all(outside, axis=0), capture.frames.dtype.type(0), capture.frames),
-        correlation=np.select(of_exposure, [back.correlation for back in backs]),
-        exposure_s=capture.exposure_s,
-    )
+    nowhere = np.all(outside, axis=0)
+    frames = np.where(nowhere, capture.frames.dtype.type(0), capture.frames)
+    return replace(capture, frames=frames)
 
 
 def _plan(scene: Scene, layout: Layout, motion: MotionSection, line: Timeline) -> RenderPlan:

@@ -277,9 +277,8 @@ def take_image(
     with _timed(timings, "decode"):
         codes, depth = measure(
             scanner,
-            capture,
+            capture if moving is None else moving.at_rest(scanner, exposures),
             path_noise=rendering.radiance.path_noise,
-            back=None if moving is None else moving.taken_back(scanner, exposures),
         )
     return SceneImage(
         rendering=rendering,

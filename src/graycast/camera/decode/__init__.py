@@ -44,7 +44,7 @@ from .reasons import (
     reason_shares,
 )
 from .separation import separate
-from .taken_back import TakenBack, take_back
+from .taken_back import take_back
 from .triangulation import (
     epipolar_residual_px,
     meet_planes,
@@ -65,7 +65,6 @@ __all__ = [
     "Levels",
     "Mark",
     "Reason",
-    "TakenBack",
     "decode",
     "epipolar_residual_px",
     "filter_depth",

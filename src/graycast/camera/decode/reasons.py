@@ -18,7 +18,7 @@ class Reason(IntEnum):
         SHADOW             positions._judge_row
         LOW_MODULATION     positions._judge_row
         SATURATED          bits.lose_bits, phases.lose_phases, positions._judge_row
-        CONTRADICTORY      bits._weigh_doubts, positions._count, evidence.without_doubt
+        CONTRADICTORY      bits._weigh_doubts, positions._count
         INTERREFLECTION    bits._weigh_doubts, phases.count_by_gray, positions._count,
                            positions._judge_row
         OUTSIDE_PROJECTOR  positions._outside, triangulation.triangulate

@@ -9,14 +9,12 @@ the result is a stack of a scene at rest, with the deviations of the real pictur
 Any decoder can read it, and still finds what contradicts.
 
 If another surface hides a point in some of the pictures, or it is bright only from some directions,
-its pictures fit no depth well. The low correlation is evidence that its depth is wrong.
+its pictures fit no depth well, and the misfit stays in the result, for the decoder to see.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numba
 import numpy as np
 from jaxtyping import Float, Int
@@ -25,7 +23,6 @@ from ...base import array_types as arrays
 from ...base.errors import DecodeError
 from ...base.kernels import kernel
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...base.public_value import public_value
 from ...rig.optics import picture_rays
 from ...rig.pair import Rig
 from ...rig.pattern import AXES, Axis, Code
@@ -41,22 +38,6 @@ from .moving_points import (
 )
 
 STEP_PX = 2.0  # Motion of the projector's place between two depths that are tried
-MOVES_PX = 0.5  # Least motion in the picture of a point whose correlation is evidence
-
-
-@public_value
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TakenBack:
-    """The pictures of a scene at rest, and how well the pictures of each pixel fit its depth.
-
-    `correlation` is that of the pictures with the light of the best depth. It is NaN where the
-    point moves in the picture by less than `MOVES_PX`. `exposure_s` has the exposure of each pixel,
-    if several exposures were merged after they were taken back.
-    """
-
-    frames: arrays.UInt8or16Array_n_h_w
-    correlation: arrays.FloatArray_h_w
-    exposure_s: float | arrays.FloatArray_h_w | None = None
 
 
 def take_back(
@@ -67,7 +48,7 @@ def take_back(
     *,
     saturation_dn: float,
     progress: ProgressMeter = UNWATCHED,
-) -> TakenBack:
+) -> arrays.UInt8or16Array_n_h_w:
     """Return the pictures that a scene at rest would have given at the reference time.
 
     A pixel whose point is outside one of the pictures at every depth is 0 in all of them.
@@ -100,9 +81,7 @@ def take_back(
     result = np.zeros_like(stack)
     place = places(rig, ray, best)
     _give_back(stack, shift, best, place, light, steps, saturation_dn, result)
-    moved_px = np.linalg.norm(shift[..., :2], axis=-1).max(axis=(0, 1))
-    moves = cv2.resize(moved_px, best.shape[::-1], interpolation=cv2.INTER_LINEAR) > MOVES_PX
-    return TakenBack(frames=result, correlation=np.where(moves, score, np.float32(np.nan)))
+    return result
 
 
 class _Steps(NamedTuple):

@@ -122,9 +122,7 @@ def decode_stack(
     spec, stated_px = description.decode_spec()
     code = code_of(description, path)
     _check_axes(code, spec, rig, average, path)
-    pictures, levels, correlation, motion_m = _read(
-        description, code, rig, motion_m, path, clock, progress
-    )
+    pictures, levels, motion_m = _read(description, code, rig, motion_m, path, clock, progress)
     codes = with_ripple(decode(pictures.frames, code, spec, levels.levels), code)
     clock.lap("decode")
     diagnosis = diagnose(pictures, code, codes, spec, levels.levels, known=description.levels)
@@ -143,9 +141,7 @@ def decode_stack(
         residual_px = epipolar_residual_px(codes, first, rig) if len(code.axes) == 2 else None
         by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = epipolar_limit_px(stated_px, residual_px)
-        positions, sure = without_doubt(
-            codes, first, rig, *evidence, max_p_wrong=limit, correlation=correlation
-        )
+        positions, sure = without_doubt(codes, first, rig, *evidence, max_p_wrong=limit)
         depth = believed_depth(codes, sure, residual_px, rig, stated_px=stated_px, filters=filters)
         if not diagnosis.explained:
             warnings += symptoms(codes, rig, first, residual_px)
@@ -185,8 +181,8 @@ def _read(
     path: Path,
     clock: "_Clock",
     progress: ProgressMeter,
-) -> tuple[StackPictures, MeasuredLevels, arrays.FloatArray_h_w | None, Motion | None]:
-    """Return pictures at rest, their levels, the correlation of `TakenBack`, and the motion."""
+) -> tuple[StackPictures, MeasuredLevels, Motion | None]:
+    """Return the pictures, of a scene at rest, their levels and the estimated motion."""
     _check_motion(motion_m, rig, path)
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)
@@ -194,16 +190,14 @@ def _read(
     with _naming(path):
         levels = measure_levels(pictures.frames, code, description.levels)
     clock.lap("levels")
-    correlation = None
     if motion_m is not None and rig is not None:
         if pictures.frames.shape[1:] != _camera_shape(rig):
             raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
-        pictures, back, motion_m = taken_back(
+        pictures, motion_m = taken_back(
             pictures, code, rig, levels.levels, start_m=motion_m, progress=progress
         )
-        correlation = back.correlation
         clock.lap("motion")
-    return pictures, levels, correlation, motion_m
+    return pictures, levels, motion_m
 
 
 def _light(pictures: StackPictures, code: Code, levels: Levels):

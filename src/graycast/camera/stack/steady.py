@@ -7,7 +7,7 @@ import numpy as np
 from ...base.progress import ProgressMeter
 from ...rig.pair import Rig
 from ...rig.pattern import Code
-from ..decode import Levels, TakenBack, steady_motion, steady_transforms, take_back
+from ..decode import Levels, steady_motion, steady_transforms, take_back
 from .stack_pictures import StackPictures
 
 Motion = tuple[float, float, float]
@@ -21,7 +21,7 @@ def taken_back(
     *,
     start_m: Motion,
     progress: ProgressMeter,
-) -> tuple[StackPictures, TakenBack, Motion]:
+) -> tuple[StackPictures, Motion]:
     """Return the pictures of a scene at rest, and its motion from picture to picture [m].
 
     Args:
@@ -31,11 +31,11 @@ def taken_back(
     first_m = np.array(start_m)
     motion_m = steady_motion(pictures.frames, code, rig, time, start_m=first_m, progress=progress)
     T_then_now, top_dn = steady_transforms(motion_m, time), levels.saturation_dn
-    back = take_back(
+    frames = take_back(
         pictures.frames, code, rig, T_then_now, saturation_dn=top_dn, progress=progress
     )
     x_m, y_m, z_m = motion_m.tolist()
-    return replace(pictures, frames=back.frames), back, (x_m, y_m, z_m)
+    return replace(pictures, frames=frames), (x_m, y_m, z_m)
 
 
 def describe_steady(
@@ -47,8 +47,8 @@ def describe_steady(
     x_mm, y_mm, z_mm = (1e3 * length_m for length_m in motion_m)
     middle = _middle(pictures)
     unchecked = [
-        "pixels whose moved pictures fit their depth badly are not removed: set max_p_wrong in the "
-        "section decode of the stack file, for instance to 0.05"
+        "moved pictures give more wrong depth than those of a scene at rest: to remove it, set "
+        "max_p_wrong in the section decode of the stack file, for instance to 0.05"
     ]
     return [
         f"the scene moves by ({x_mm:.3f}, {y_mm:.3f}, {z_mm:.3f}) mm from picture to picture, "

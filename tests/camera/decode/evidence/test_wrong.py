@@ -6,15 +6,7 @@ from stage import centred
 
 from graycast.camera.decode import DepthMap, Reason
 from graycast.camera.decode.evidence import CUES, NAMES
-from graycast.camera.decode.evidence.wrong import (
-    POWER,
-    RATIO,
-    Evidence,
-    _weigh,
-    evidence,
-    spoken_against,
-    with_correlation,
-)
+from graycast.camera.decode.evidence.wrong import Evidence, _weigh, evidence, spoken_against
 
 FIRST, SECOND = 3, 7  # the cues of the small table
 
@@ -110,14 +102,3 @@ def test_pixels_without_depth_have_no_probability():
 
 def test_a_map_without_probabilities_stays_without_them():
     assert depth_map().without(np.ones((2, 3), bool), Reason.OUTLIER).p_wrong is None
-
-
-def test_correlation_changes_the_odds_by_bayes_rule():
-    """At even odds, p / (1 - p) is the ratio itself; without motion, nothing changes."""
-    correlation = np.array([0.0, 0.5, 0.99, np.nan], np.float32)
-    p_wrong = with_correlation(np.full(4, 0.5, np.float32), correlation)
-    odds = p_wrong / (1 - p_wrong)
-    np.testing.assert_allclose(odds[:3], RATIO * (1 - correlation[:3]) ** POWER, rtol=1e-4)
-    assert p_wrong[3] == 0.5
-    extremes = with_correlation(np.array([0, 1, 1], np.float32), np.array([0, 0, 1], np.float32))
-    assert list(extremes) == [0, 1, 1]

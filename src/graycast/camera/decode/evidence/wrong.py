@@ -5,7 +5,6 @@ evidence, `wrong.npz`, is a sum of small decision trees, which gives the logarit
 wrong depth. `python -m studies.wrong_depth` makes it from simulated scenes of several scanners,
 codes, parts and materials, with `sense` of each cue as a constraint: no tree may count a better fit
 as evidence against a pixel. docs/measurements/wrong_depth.md has its calibration on other scenes.
-In moving scenes, the correlation of the pictures that were taken back changes these odds.
 
 Source: J. Friedman, "Greedy Function Approximation: A Gradient Boosting Machine", 2001.
 """
@@ -27,10 +26,6 @@ from ..reasons import POSITIONED, Reason
 from .cues import CUES, NAMES, cues_of
 
 TABLE = "wrong.npz"
-# If a point moved in the picture, and its pictures have the correlation r with the light of its
-# depth, then P(r | wrong) / P(r | right) = RATIO (1 - r)^POWER, which is 1 at r = 0.954. It comes
-# from moving scenes (`python -m studies.moving_evidence`).
-RATIO, POWER = 7.0, 0.63
 
 
 class Evidence(NamedTuple):
@@ -71,7 +66,6 @@ def without_doubt(
     levels: Levels,
     *,
     max_p_wrong: float,
-    correlation: Float32[np.ndarray, "h w"] | None = None,
 ) -> tuple[CodeMap, DepthMap]:
     """Return the depth with its `p_wrong`, without the pixels for which it is too large.
 
@@ -81,43 +75,18 @@ def without_doubt(
     Args:
         depth: the depth of the positions in `codes`, before filters.
         max_p_wrong: the largest accepted probability; with 1, nothing is estimated or removed.
-        correlation: that of `TakenBack`, which is evidence too; None: nothing was taken back.
     """
     if max_p_wrong == 1:
         return codes, depth
-    evidence_of = rig, frames, code, levels
-    if correlation is not None and np.isfinite(correlation).any():
-        # Wrong neighbours support wrong depth, and moving scenes have many. So the evidence of the
-        # other pixels is computed once more without the doubtful ones.
-        codes, depth = _less_doubtful(codes, depth, *evidence_of, max_p_wrong, correlation)
-    return _less_doubtful(codes, depth, *evidence_of, max_p_wrong, correlation)
-
-
-def _less_doubtful(codes, depth, rig, frames, code, levels, max_p_wrong, correlation):
-    """Return what `without_doubt` returns, from the evidence of the pixels that have depth."""
     cues = cues_of(frames, code, levels, codes, depth, rig)
-    p_wrong = at_rest = _probability(cues, np.isfinite(depth.depth_m))
-    if correlation is not None:
-        p_wrong = with_correlation(at_rest, correlation)
-    limit = np.float32(max_p_wrong)
-    doubtful = p_wrong > limit
+    p_wrong = _probability(cues, np.isfinite(depth.depth_m))
+    doubtful = p_wrong > np.float32(max_p_wrong)
     depth = replace(depth, p_wrong=p_wrong)
     if not doubtful.any():
         return codes, depth
-    reasons = spoken_against(cues[:, doubtful])
-    reasons[at_rest[doubtful] <= limit] = Reason.CONTRADICTORY
-    depth = depth.without(doubtful, reasons)
+    depth = depth.without(doubtful, spoken_against(cues[:, doubtful]))
     lost = doubtful & ~np.isin(depth.reason, POSITIONED)
     return codes.without(lost, depth.reason[lost]), depth
-
-
-def with_correlation(
-    p_wrong: Float32[np.ndarray, "*pixels"], correlation: Float32[np.ndarray, "*pixels"]
-) -> Float32[np.ndarray, "*pixels"]:
-    """Return probabilities of wrong depth by Bayes' rule; as they are where it is NaN."""
-    ratio = np.float32(RATIO) * np.maximum(1 - correlation, np.float32(1e-5)) ** np.float32(POWER)
-    wrong = p_wrong * np.where(np.isnan(ratio), np.float32(1), ratio)
-    return wrong / (1 - p_wrong + wrong)
 
 
 def without_doubtful_positions(

@@ -50,7 +50,7 @@ MOST_LINES = 85_200
 # with polished metal; half of them are cells of tables. 1,600 came with hand-eye calibration, the
 # virtual scanner, bags, doubtful positions, and detectors trained with a fitted surface. 900 came
 # with motion during a scan, replayed bags, and the value of the probability for robots.
-MOST_WORDS = 52_400
+MOST_WORDS = 53_000
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # These are the exceptions with their sizes; the last arguments of a run report its progress.

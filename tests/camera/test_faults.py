@@ -125,5 +125,5 @@ def test_the_error_for_an_impossible_fault_names_its_key(name, value):
 def test_decode_stack_accepts_filters_but_no_faults():
     assert not {f.name for f in fields(FaultSpec)} & {f.name for f in fields(FilterSpec)}
     assert get_type_hints(decode_stack)["filters"] == FilterSpec | None
-    names = {"path", "rig", "average", "filters", "motion_m", "return"}
+    names = {"path", "rig", "average", "filters", "motion_m", "progress", "return"}
     assert set(get_type_hints(decode_stack)) == names

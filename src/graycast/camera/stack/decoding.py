@@ -182,7 +182,7 @@ def _read(
     clock: "_Clock",
     progress: ProgressMeter,
 ) -> tuple[StackPictures, MeasuredLevels, Motion | None]:
-    """Return the pictures, of a scene at rest, their levels and the estimated motion."""
+    """Return the pictures, taken back on request, their levels and the estimated motion."""
     _check_motion(motion_m, rig, path)
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)

@@ -74,7 +74,7 @@ def test_a_pixel_gets_the_reason_of_the_evidence_against_it():
             cues[NAMES.index(name), 0] = 0.1
         if "epipolar" in name:
             cues[NAMES.index(name), 1] = 5.0
-    against = spoken_against(cues)
+    against = spoken_against(cues, evidence())
     assert list(against) == [Reason.INTERREFLECTION, Reason.OUTLIER]
 
 

@@ -62,9 +62,9 @@ def main(count: int, samples: int, bag: str | None) -> None:
     if bag is not None:  # No part moves in recorded pictures.
         with gc.BagScanner(bag) as scanner:
             return empty_bin(scanner, lambda point_m: 0, lambda: None, model, inner_m)
-    config = gc.Config(
+    config = gc.Config(  # A pose needs the depth at edges, of which some is doubtful.
         parts=(gc.PartSection(builtin="yellow_salt_cube"),), count=count, rig="like-phoxi-m",
-        resolution="small", render=gc.RenderSection(samples=samples),
+        resolution="small", render=gc.RenderSection(samples=samples), decode={"max_p_wrong": 0.2},
     )  # fmt: skip
     with gc.VirtualScanner(config, seed=1) as scanner:  # device: Camera().connect("192.168.1.10")
         scanner.set("exposure.auto", True)  # device: its own name of the same setting

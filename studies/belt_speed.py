@@ -130,9 +130,8 @@ def main() -> None:
         ("codes", str, CODES[:1]),
         ("speeds", float, SPEEDS_M_S),
     ):
-        parser.add_argument(
-            f"--{name}", nargs="+", default=default, type=type_, help="(default: %(default)s)"
-        )
+        words = f"The {name} of the table (default: %(default)s)."
+        parser.add_argument(f"--{name}", nargs="+", default=default, type=type_, help=words)
     store = "A folder that stores the pictures, so that a second run only decodes."
     parser.add_argument("--pictures", type=Path, help=store)
     options = parser.parse_args()

@@ -189,7 +189,7 @@ def test_a_program_without_the_truth_empties_the_bin_of_a_virtual_scanner_and_re
     config = gc.Config(
         parts=(gc.PartSection(builtin="yellow_salt_cube"),), count=4, rig="like-phoxi-m",
         resolution="small", render=gc.RenderSection(samples=4),
-        exposure=gc.ExposureSection(auto=True),
+        exposure=gc.ExposureSection(auto=True), decode={"max_p_wrong": 0.2},
     )  # fmt: skip
     gc.generate(gc.load_cell(config), tmp_path / "out", scenes=2, seed=1, device="cpu")
     for form in ("ros2bag", "mcap"):
@@ -198,7 +198,6 @@ def test_a_program_without_the_truth_empties_the_bin_of_a_virtual_scanner_and_re
         place_m = [
             np.array(line[line.index("[") + 1 : -3].split(), float) for line in (first, lifts[0])
         ]
-        # Edges have little depth, so rounding can move the pose of a face within its plane.
-        assert np.abs(place_m[0] - place_m[1]).max() < 10e-3
+        assert np.abs(place_m[0] - place_m[1]).max() < 1.5e-3
         assert second.startswith("frame 1: lifted a part at ") and "no further picture" in stop
         assert end.startswith("2 parts in ")

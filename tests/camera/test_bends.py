@@ -72,7 +72,7 @@ def test_errors_at_pixels_that_a_step_crosses_agree_with_sigma():
 @pytest.mark.parametrize("turn", [False, True])
 @pytest.mark.parametrize(("slope_deg", "bends"), [(73.0, True), (77.0, False)])
 def test_a_step_steeper_than_75_degrees_is_no_bend(turn, slope_deg, bends):
-    """Two surfaces are one beside the other there, and each keeps the sigma of its noise."""
+    """Two surfaces meet there, and each keeps the sigma of its noise."""
     camera = replace(centred(40, 30, 400.0), fx_px=200.0)  # A pixel is twice as wide as high.
     pixel_m = 1 / (camera.fy_px if turn else camera.fx_px)
     x, y = grid()

@@ -134,7 +134,7 @@ def test_the_probability_alone_tells_direct_from_mixed_light(scanner):
     share = patches(0, 1, rng)
     mixed = light(scanner, place, place + away, share, spread_px=5.0)
     unguarded = scan(with_limit(scanner, 1.0), mixed, seed=1).depth
-    estimated = scan(with_limit(scanner, 0.05), mixed, seed=1).depth
+    estimated = scan(with_limit(scanner, 0.1), mixed, seed=1).depth
     limited = scan(with_single_limits(scanner), mixed, seed=1).depth
     assert unguarded.p_wrong is None
     assert wrong(unguarded, z_m).sum() > 0.2 * np.isfinite(unguarded.depth_m).sum()
@@ -142,7 +142,7 @@ def test_the_probability_alone_tells_direct_from_mixed_light(scanner):
     right, right_with_limits = (
         (np.isfinite(depth.depth_m) & ~wrong(depth, z_m)).sum() for depth in (estimated, limited)
     )
-    assert right > right_with_limits
+    assert right > 1.1 * right_with_limits
     reasons = estimated.reason[np.isnan(estimated.depth_m)]
     assert (reasons == Reason.INTERREFLECTION).any()
 
